@@ -14,7 +14,7 @@ from tests.gap_files import hidden as untested
 from torchid.errors import TorchidError
 from torchid.feasibility.sets import ParameterSets, nominal_set, sets_record
 from torchid.fleet.compare import common_robot, compare_results, read_results
-from torchid.report.compare import parameter_table, verdict
+from torchid.report.compare import cause_table, parameter_table, verdict
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 
@@ -25,7 +25,7 @@ def compared(*paths):
 
 def printed(found):
     console = Console(width=160, record=True, file=io.StringIO())
-    console.print(parameter_table(found))
+    console.print(cause_table(found), parameter_table(found))
     return console.export_text()
 
 

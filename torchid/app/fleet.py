@@ -12,7 +12,7 @@ import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
 from torchid.app.project import group
-from torchid.app.signature import Fields, Parsed, Switch, command
+from torchid.app.signature import Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
 from torchid.gap.settings import GapSettings
@@ -92,7 +92,7 @@ class Engine(opt.Crew):
 _Hertz = Annotated[float, typer.Option(metavar="HZ")]
 Reduction = Annotated[
     FleetSettings,
-    Fields("reversal rows basis level", effects=opt.FittedEffects, cutoff=_Hertz, force=Switch),
+    opt.FIT.only("rows basis effects force", cutoff=_Hertz, reversal=None, level=None),
 ]
 
 

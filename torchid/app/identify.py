@@ -13,7 +13,7 @@ from torchid.app import options as opt
 from torchid.app.inputs import RECORDED
 from torchid.app.output import Computed, Reported
 from torchid.app.project import current
-from torchid.app.signature import Fields, Parsed, Switch, command
+from torchid.app.signature import Parsed, command
 from torchid.effects.names import require_effects
 from torchid.effects.written import name_and_pairs, split_list
 from torchid.errors import TorchidError
@@ -43,8 +43,9 @@ def _reversal(text: str) -> float | Literal["auto"]:
 
 
 _Reversal = Annotated[opt.Cutoff, typer.Option(metavar="FRACTION|auto"), Parsed(_reversal, "0")]
-_Names = tuple[str, ...]
-_Sides = Annotated[_Names, typer.Option(metavar="LEFT:RIGHT,.."), Parsed(opt.names, "none")]
+_WrittenEffects = Annotated[
+    tuple[str, ...], typer.Option(metavar="NAME[:KEY=VALUE],.."), Parsed(_effects, "none")
+]
 
 
 @command
@@ -53,18 +54,11 @@ def identify_command(
     trials: opt.Trials,
     settings: Annotated[
         Settings,
-        Fields(
-            "rows basis method covariance signs held_out_fraction",
-            effects=Annotated[
-                _Names,
-                typer.Option(metavar="NAME[:KEY=VALUE],.."),
-                Parsed(_effects, "none"),
-            ],
-            cutoff=opt.FilterCutoff,
+        opt.FIT.only(
+            "rows basis method covariance signs held_out_fraction cutoff essential force "
+            "error_cutoff",
+            effects=_WrittenEffects,
             reversal=_Reversal,
-            essential=Switch,
-            force=Switch,
-            error_cutoff=opt.Hertz,
         ),
     ],
     seed: opt.Seed = 0,
@@ -118,12 +112,7 @@ def payload_command(
     arm: _Empty,
     loaded: Annotated[list[Path], typer.Option(metavar="LOG"), RECORDED],
     model: Literal["general", "symmetric", "point_mass"] = "general",
-    settings: Annotated[
-        Settings,
-        Fields(
-            "signs rows method", effects=opt.FittedEffects, cutoff=opt.FilterCutoff, force=Switch
-        ),
-    ],
+    settings: Annotated[Settings, opt.FIT.only("signs rows method effects cutoff force")],
     seed: opt.Seed = 0,
     output: Annotated[Computed, "payload.json"],
     device_name: opt.Device = "cpu",

@@ -14,7 +14,7 @@ import torchid
 from torchid.app.inputs import PLACE, RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Output
 from torchid.app.project import current
-from torchid.app.signature import Fields, Parsed
+from torchid.app.signature import Fields, Parsed, Switch
 from torchid.effects.names import require_effects
 from torchid.errors import TorchidError
 from torchid.identification.settings import DEFAULT_EFFECTS
@@ -156,7 +156,6 @@ Group = Annotated[str | None, typer.Option(metavar="GROUP|none")]
 Bounds = Annotated[str | None, typer.Option(metavar="BOUNDS")]
 TotalMass = Annotated[tuple[float, float] | None, typer.Option(metavar="LO,HI"), Parsed(total_mass)]
 Hertz = Annotated[float | None, typer.Option(metavar="HZ")]
-Names = Annotated[tuple[str, ...], typer.Option(metavar="NAMES"), Parsed(names, "none")]
 Searched = Annotated[
     tuple[str, ...] | None, typer.Option(metavar="NAMES"), Parsed(searched_effects, "all")
 ]
@@ -182,6 +181,15 @@ GAP = Fields(
     seed=Seed,
 )
 """Options of a diagnosis."""
+FIT = Fields(
+    "rows basis method covariance signs held_out_fraction",
+    effects=FittedEffects,
+    cutoff=FilterCutoff,
+    essential=Switch,
+    force=Switch,
+    error_cutoff=Hertz,
+)
+"""Options of a fit."""
 Velocities = Annotated[str | None, typer.Option(metavar="V|V1,V2,..")]
 Accelerations = Annotated[str | None, typer.Option(metavar="A|A1,A2,..")]
 

@@ -1,16 +1,22 @@
 """Results compared, as their JSON has them: the schema torchid.compare/2."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from msgspec import UNSET, UnsetType, field
 
 from torchid.fleet.record import Spread
-from torchid.results.record import Part, Real, Record, Rows
+from torchid.results.record import Col, Part, Real, Record, Rows
 from torchid.typing import Float, Tensor
 
 Kind = Literal["identifications", "gap diagnoses", "parameter sets"]
-Verdict = Literal["agree", "differ", "never_determined", "not_compared"]
+Verdict = Literal["differ", "agree", "never_determined", "not_compared"]
 State = Literal["named", "not_testable", "not_found"]
+WORDS: dict[Verdict, str] = {
+    "differ": "differs",
+    "agree": "agrees",
+    "never_determined": "undetermined",
+    "not_compared": "not tested",
+}
 
 
 class TorqueSpread(Part, frozen=True):
@@ -45,11 +51,11 @@ class ComparedParameter(Spread, frozen=True, kw_only=True):
         p: of Welch's test that all values are equal, adjusted for the number of coefficients.
     """
 
-    cause: str
-    verdict: Verdict
+    cause: Annotated[str, Col("of")]
+    verdict: Annotated[Verdict, Col(words=WORDS.__getitem__)]
     own: Float[Tensor, " m"]
     own_std: Float[Tensor, " m"]
-    p: Real = field(name="p_adjusted")
+    p: Annotated[Real, Col(digits=".1g")] = field(name="p_adjusted")
 
 
 class ComparedCause(Part, frozen=True, kw_only=True):
@@ -61,7 +67,7 @@ class ComparedCause(Part, frozen=True, kw_only=True):
         smallest: (m,) smallest detectable size, where it was not testable.
     """
 
-    label: str
+    label: Annotated[str, Col("cause")]
     states: tuple[State, ...]
     smallest: tuple[float | None, ...] = field(name="smallest_detectable")
 

@@ -17,6 +17,7 @@ import torch
 
 from torchid.design.motion import measurements
 from torchid.fleet.model import FleetModel
+from torchid.identification.base_parameters import nominal_values, physical_signs
 from torchid.identification.least_squares import (
     block_factors,
     combined_factor,
@@ -32,6 +33,7 @@ from torchid.log.model import Log
 from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import MOST_BLOCKS as MOST_BLOCKS_OF_A_FIT
 from torchid.statistics.blocks import block_length, block_numbers
+from torchid.statistics.criteria import EXPLAINED, ODD_SIZE
 from torchid.statistics.jackknife import jackknife
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -44,6 +46,10 @@ normal one's, and a log of a minute is two megabytes."""
 
 ROUNDS = 4
 """Times that the weights of the joints are found again."""
+
+FAR_FROM_PHYSICAL = 5.0
+"""Standard deviations beyond which a value that no body has is worth a word: at less, what the
+model lacks is reason enough."""
 
 LEAST_NOISE = 1e-6
 """Noise of a joint as a share of the noisiest one's below which it gains no more weight."""
@@ -133,6 +139,8 @@ class Reduced:
     Attributes:
         factors: of its blocks.
         fit: of all its rows.
+        left: (n,) what bodies leave of each joint's torque in the worst stretch, as a share of its
+            spread.
         seconds: of motion that they hold.
         correlation: integrated autocorrelation time of the residual, the longest [s].
         warnings: sentences for the user.
@@ -140,6 +148,7 @@ class Reduced:
 
     factors: Factors
     fit: Solved
+    left: Float[Tensor, " n"]
     seconds: float
     correlation: float
     warnings: tuple[str, ...]
@@ -152,23 +161,47 @@ def reduce_log(model: FleetModel, stretches: Iterator[Log]) -> Reduced:
     Raises:
         LogError: a log that cannot be used with this robot.
     """
-    found, fits = list[Factors](), list[Solved]()
+    found, fits, left = list[Factors](), list[Solved](), list[Tensor]()
     seconds, slowest, warnings = 0.0, 0.0, dict[str, None]()
     for stretch in stretches:
         even, noticed = prepared(with_gain(stretch, model), model.robot)
         speed = torch.full((model.robot.n,), model.settings.reversal, dtype=torch.float64)
         measured = measurements(even, model.settings.cutoff, speed)
         source = RowSource(measured, model.layout, moving_only=model.settings.rows == "moving")
-        factors, fit, correlation = _blocks(source, model.layout)
+        factors, fit, share, correlation = _blocks(source, model.layout)
         found.append(factors)
         fits.append(fit)
+        left.append(share)
         seconds += sum(m.samples / m.rate for m in measured)
         slowest = max(slowest, correlation * max(source.interval))
         said = (*noticed, *(w for m in measured for w in m.warnings))
         warnings |= dict.fromkeys(said)
     every = reduce(Factors.beside, found)
     whole = fits[0] if len(fits) == 1 else solved(every, model.layout)
-    return Reduced(every, whole, seconds, slowest, tuple(warnings))
+    return Reduced(every, whole, torch.stack(left).amax(0), seconds, slowest, tuple(warnings))
+
+
+def bodies_explain(model: FleetModel, reduced: Reduced) -> bool:
+    """Whether a log's own fit leaves no fault to look for that would stop it: bodies explain the
+    torque of all joints, the coefficients have signs that bodies have, or the robot's file, and
+    together they are about as heavy as the nominal ones. A torque of another sign, order, time or
+    unit fails one of these.
+    """
+    layout, fit, robot = model.layout, reduced.fit, model.robot
+    # Half of what the doctor takes for explained: up to that a fault is a doubt, worth its word.
+    if robot.parameters is None or bool((reduced.left > EXPLAINED / 2).any()):
+        return False
+    order, free = list(layout.order), (~fit.held).nonzero().flatten()
+    nominal = nominal_values(robot, layout.base)[order]
+    signs = physical_signs(layout.base, layout.effects)[order]
+    signs = torch.where(signs * nominal < 0, 0, signs)[free]  # published friction may be negative
+    std = torch.linalg.vector_norm(orthonormal(fit.factor, free), dim=1)
+    if bool((signs * fit.x[free] < -FAR_FROM_PHYSICAL * std).any()):
+        return False
+    bodies = torch.tensor(order) < layout.base.n_rigid
+    both = torch.stack([fit.x, nominal], 1) * bodies[:, None]
+    size, usual = torch.linalg.vector_norm(fit.factor[:, :-1] @ both, dim=0).tolist()
+    return usual / ODD_SIZE < size < usual * ODD_SIZE
 
 
 def with_gain(log: Log, model: FleetModel) -> Log:
@@ -178,9 +211,9 @@ def with_gain(log: Log, model: FleetModel) -> Log:
     return log.with_torque(model.gain)
 
 
-def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Solved, float]:
-    """Factors of blocks as long as the residual asks for, the fit of all rows, and the residual's
-    correlation time [instants]."""
+def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Solved, Tensor, float]:
+    """Factors of blocks as long as the residual asks for, the fit of all rows, (n,) its residual as
+    a share of the torque's spread, and its correlation time [instants]."""
     pieces = list(source)
     augmented = [torch.cat(parts) for parts in zip(*(p.augmented for p in pieces), strict=True)]
     keep = torch.cat([p.keep for p in pieces])
@@ -191,10 +224,13 @@ def _blocks(source: RowSource, layout: Layout) -> tuple[Factors, Solved, float]:
     fit = solved(blocks, layout)
     parts = zip(augmented, layout.columns, strict=True)
     residual = torch.stack([a[:, -1] - a[:, :-1] @ fit.x[list(c)] for a, c in parts], -1) * keep
+    torque = [a[k, -1] for a, k in zip(augmented, keep.T, strict=True)]
+    spread = torch.stack([(t - t.mean()).norm() for t in torque])
+    left = torch.linalg.vector_norm(residual, dim=0) / spread.clamp(min=1e-100)
     correlation = correlation_instants(residual, bounds)
     if (length := block_length(source.instants, correlation)) > least:
         blocks = _reduced(augmented, keep, block_numbers(bounds, length))
-    return blocks, fit, correlation
+    return blocks, fit, left, correlation
 
 
 def _reduced(
@@ -301,7 +337,7 @@ def estimate(factors: Factors, model: FleetModel) -> Estimate:
     covariance = covariance * estimated * estimated.unsqueeze(-1)
     freedom = torch.ones(layout.size, dtype=torch.float64)
     freedom[free] = spread.freedom
-    order = model.order
+    order = layout.back
     return Estimate(
         torch.where(estimated, found.x, torch.nan)[order],
         covariance[order][:, order],

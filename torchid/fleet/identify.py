@@ -18,7 +18,7 @@ import torch
 
 from torchid import __version__
 from torchid.errors import IdentificationError, TorchidError, visible
-from torchid.fleet.factors import Solved
+from torchid.fleet.factors import FAR_FROM_PHYSICAL, Solved
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
 from torchid.fleet.record import (
@@ -52,10 +52,6 @@ INDEX = "index.parquet"
 
 WORTH_PROCESSES = 40
 """Units from which on processes are started to fit them."""
-
-FAR_FROM_PHYSICAL = 5.0
-"""Standard deviations beyond which a value that no body has is worth a word: at less, what the
-model lacks is reason enough."""
 
 OF_EACH = (
     "mean", "std", "between", "between_ci95", "daily", "daily_ci95", "noise", "units", "sessions",
@@ -106,7 +102,7 @@ class Fleet(Result):
     def record(self) -> FleetRecord:
         """As the JSON has it."""
         used = Counter(a.unit for a in self.logs if a.verdict in USED)
-        found, order = self.pooled, self.model.order
+        found, order = self.pooled, self.model.layout.back
         ci = found.interval()
         units = [
             UnitRow(
@@ -159,13 +155,11 @@ class Fleet(Result):
         """What is odd about which unit, the clearest first."""
         found, out = self.pooled, []
         for b, k in found.odd_in.nonzero().tolist():
-            value, std, mean, spread, z, p = (
-                float(x)
-                for x in (
-                    found.own[b, k], found.own_std[b, k], found.mean[b], found.between[b],
-                    found.deviation[b, k], found.p[b, k],
-                )
-            )  # fmt: skip
+            numbers = torch.stack([
+                found.own[b, k], found.own_std[b, k], found.mean[b], found.between[b],
+                found.deviation[b, k], found.p[b, k],
+            ])  # fmt: skip
+            value, std, mean, spread, z, p = numbers.tolist()
             name, unit = self.base.names[b], self.base.units[b]
             word = "above" if z > 0 else "below"
             sentence = (
@@ -213,8 +207,7 @@ def reduce_fleet(
         RefusedError: a worker has another torchid.
         TorchidError: a part that there is not.
     """
-    ordered = part_of(logs, part)
-    tasks = [LogTask(log, model, store.place) for log in ordered]
+    tasks = [LogTask(log, model, store.place) for log in part_of(logs, part)]
     found = attempted(answer_log, tasks, workers, "reducing logs", progress)
     answers = [
         LogAnswer.failed(task.log, a) if isinstance(a, Failure) else a
@@ -222,16 +215,12 @@ def reduce_fleet(
     ]
     # The same motion counts once, whatever it is called.
     first: dict[str, LogAnswer] = {}
-    out = []
-    for a in answers:
+    for k, a in enumerate(answers):
         other = first.setdefault(a.sha256, a) if a.sha256 else a
-        same = f"the same content as {other.log} of unit {other.unit}, which is used"
-        again = LogAnswer(
-            unit=a.unit, session=a.session, log=a.log, verdict="refused", evidence=(same,),
-            sha256=a.sha256, key=a.key,
-        )  # fmt: skip
-        out.append(a if other is a else again)
-    return tuple(out)
+        if other is not a:
+            same = f"the same content as {other.log} of unit {other.unit}, which is used"
+            answers[k] = LogAnswer.about(tasks[k].log, "refused", same, sha256=a.sha256, key=a.key)
+    return tuple(answers)
 
 
 def part_of(logs: Sequence[FleetLog], part: Part | None) -> list[FleetLog]:
@@ -346,13 +335,11 @@ def kept(store: Store | None, workers: Workers) -> Iterator[Store]:
 def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -> None:
     """A table of all logs into the store, for duckdb or pandas."""
     rows = [
-        {
-            "log": visible(a.log), "unit": visible(a.unit), "session": visible(a.session),
-            "sha256": a.sha256, "key": a.key, "verdict": a.verdict, "seconds": a.seconds,
-            "evidence": visible("\n".join(a.evidence)),
-        }
+        {part: visible(getattr(a, part)) for part in ("log", "unit", "session", "sha256", "key")}
+        | dict[str, object](evidence=visible("\n".join(a.evidence)))
+        | {"verdict": a.verdict, "seconds": a.seconds}
         for a in answers
-    ]  # fmt: skip
+    ]
     files, place = fsspec.url_to_fs(store.place)
     pa.parquet.write_table(pa.Table.from_pylist(rows), f"{place}/{name}", filesystem=files)
 

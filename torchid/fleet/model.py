@@ -1,9 +1,7 @@
 """What all logs of a fleet are reduced to: the columns of one robot type with its effects."""
 
 from dataclasses import asdict, dataclass, field
-from functools import cached_property, lru_cache
-
-import torch
+from functools import lru_cache
 
 from torchid import __version__
 from torchid.errors import TorchidError
@@ -63,11 +61,6 @@ class FleetModel:
             TorchidError: an effect whose columns are not known before a search.
         """
         return _layout(self)
-
-    @cached_property
-    def order(self) -> list[int]:
-        """Column of the layout of each base parameter."""
-        return torch.tensor(self.layout.order).argsort().tolist()
 
     def require_same_version(self) -> None:
         """Refuse to answer for another torchid: the answers of two would be mixed.

@@ -41,29 +41,13 @@ def stretches(path: Path, request: Request) -> Iterator[Log]:
         wanted = [name for name in names if is_wanted(name)]
         # Parts are equally long, so that none is a rest too short to be fitted.
         length = -(-rows // round(rows / PART))
-        for k, batch in enumerate(_parts(file, wanted, length)):
-            columns = {name: from_arrow(batch.column(name), name, path) for name in wanted}
+        for k, batch in enumerate(file.iter_batches(length, columns=wanted)):
+            part = pa.Table.from_batches([batch])
+            columns = {name: from_arrow(part[name], name, path) for name in wanted}
             log = log_from_columns(columns, path)
             named = log.replace(names=tuple(f"{name} part {k + 1}" for name in log.names))
-            del batch, columns, log
+            del batch, part, columns, log
             yield from in_stretches(named, 2 * STRETCH)
-
-
-def _parts(file: pyarrow.parquet.ParquetFile, wanted: list[str], length: int) -> Iterator[pa.Table]:
-    """Rows of a file, `length` at a time."""
-    waiting: list[pa.RecordBatch] = []
-    held = 0
-    for batch in file.iter_batches(min(length, 1 << 16), columns=wanted):
-        rest = batch
-        while held + rest.num_rows >= length:
-            cut = length - held
-            yield pa.Table.from_batches([*waiting, rest.slice(0, cut)])
-            waiting, held, rest = [], 0, rest.slice(cut)
-        if rest.num_rows:
-            waiting.append(rest)
-            held += rest.num_rows
-    if held:
-        yield pa.Table.from_batches(waiting)
 
 
 def temperature_of(path: Path) -> float | None:

@@ -19,6 +19,7 @@ from torchid.fleet.factors import (
     Estimate,
     Factors,
     Solved,
+    bodies_explain,
     estimate,
     reduce_log,
     solved,
@@ -66,11 +67,6 @@ class LogAnswer(LogRow, frozen=True, kw_only=True):
         """Of a log whose task gave nothing."""
         return cls.about(log, "failed", f"{failure.reason} ({failure.tries} tries)")
 
-    @classmethod
-    def unopened(cls, log: FleetLog, error: LogError) -> "LogAnswer":
-        """Of a log that is not there, or cannot be opened."""
-        return cls.about(log, "refused", " ".join(str(error).split()))
-
 
 def answer_log(task: LogTask) -> LogAnswer:
     """Reduce a log, unless the store has its factors already.
@@ -88,7 +84,7 @@ def answer_log(task: LogTask) -> LogAnswer:
             lambda path: _reduced(task.model, path, task.log.path),
         )
     except LogError as error:  # there is no such file, or it cannot be opened
-        return LogAnswer.unopened(task.log, error)
+        return LogAnswer.about(task.log, "refused", " ".join(str(error).split()))
     verdict, evidence, more = about
     return LogAnswer.about(
         task.log, verdict, *evidence, sha256=digest, key=key, stored=stored, **more
@@ -148,15 +144,25 @@ def _reduced(
         """The stretches, the first of which is looked at."""
         for k, log in enumerate(stretches(path, model.request)):
             if k == 0 and log.n == model.robot.n:
-                begin = first_minute(with_gain(log, model))
-                checks, _ = signal_checks(model.robot, begin)
-                bad = [c for c in checks if c.verdict in ("wrong", "doubtful")]
-                evidence.extend(f"{c.name}: {c.evidence}" for c in bad)
-                evidence.extend(ask_first(model.robot, begin, force=model.settings.force).said)
+                checks, _ = signal_checks(model.robot, first_minute(with_gain(log, model)))
+                odd = (c for c in checks if c.verdict in ("wrong", "doubtful"))
+                evidence.extend(f"{c.name}: {c.evidence}" for c in odd)
             yield log
 
+    def asked() -> None:
+        """What the doctor says of the beginning, which is read again: it would keep the memory."""
+        if (log := next(stretches(path, model.request))).n == model.robot.n:
+            begin = first_minute(with_gain(log, model))
+            evidence.extend(ask_first(model.robot, begin, force=model.settings.force).said)
+
     try:
-        reduced = reduce_log(model, watched())
+        try:
+            reduced = reduce_log(model, watched())
+        except TorchidError:
+            asked()  # whose words say more
+            raise
+        if evidence or not bodies_explain(model, reduced):
+            asked()
     except TorchidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
         return ("refused", [*evidence, text], {}), None

@@ -64,13 +64,14 @@ def common_motion(
         motions = [p.motion._replace(t=p.t).part(slice(p.edge, p.samples - p.edge)) for p in parts]
         said = f"the motion of {', '.join(on.names)}"
         return CommonMotion(tuple(motions), said, tuple(parts) if measured else ())
-    limits, missing = robot.limits, dict[str, float]()
-    for name, value in ORDINARY.items():
-        given = getattr(limits, name)
-        if given is None or not bool(torch.isfinite(given).all()):
-            missing[name] = value
+
+    def lacks(name: str) -> bool:
+        limit = getattr(robot.limits, name)
+        return limit is None or not bool(torch.isfinite(limit).all())
+
+    missing = {name: value for name, value in ORDINARY.items() if lacks(name)}
     bounded = robot.with_limits(**missing)
-    if limits.position is not None and not bool(torch.isfinite(limits.position).all()):
+    if lacks("position"):
         bounded = replace(bounded, limits=replace(bounded.limits, position=None))
     trajectories = random_trajectory(bounded, seed, count=RANDOM, fill=True, duration=SECONDS)
     random = trajectory_log(trajectories, RATE).trajectories()

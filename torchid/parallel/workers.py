@@ -199,10 +199,10 @@ def each(
     results: dict[int, Result] = {}
     try:
         with opened(1 if len(jobs) < 2 else workers) as (pool, slots):
-            for k, done in _finished(function, jobs, range(len(jobs)), pool, slots):
-                if isinstance(done, _Raised):
-                    raise done.error
-                results[k] = done
+            for k, result, error in _finished(function, jobs, range(len(jobs)), pool, slots):
+                if error is not None:
+                    raise error
+                results[k] = result
                 say(stage, len(results), len(jobs))
     except BrokenExecutor as error:
         raise TorchidError(
@@ -238,58 +238,45 @@ def attempted(
     say(stage, 0, len(jobs))
     results: dict[int, Result | Failure] = {}
     tries: Counter[int] = Counter()
-    todo, suspects = deque(range(len(jobs))), deque[int]()
+    batches = deque[Sequence[int]]([range(len(jobs))])
 
-    def failed(k: int, reason: str) -> bool:
-        """One more try that gave nothing; whether it was the last."""
+    def done(k: int, result: Result | Failure) -> None:
+        results[k] = result
+        say(stage, len(results), len(jobs))
+
+    def failed(k: int, reason: str) -> None:
+        """One more try that gave nothing: the next one is alone, unless it was the last."""
         tries[k] += 1
         if tries[k] > retries:
-            results[k] = Failure(reason, tries[k])
-            say(stage, len(results), len(jobs))
-        return tries[k] > retries
+            done(k, Failure(reason, tries[k]))
+        else:
+            batches.append([k])
 
-    while todo or suspects:
-        alone = bool(suspects)
-        batch = [suspects.popleft()] if alone else list(todo)
+    while batches:
+        batch = batches.popleft()
+        alone = len(batch) == 1
         crew: Workers = 1 if alone and isinstance(workers, int) else workers
         try:
             with opened(crew, 2 if alone and workers != 1 else 1) as (pool, slots):
-                for k, done in _finished(function, jobs, batch, pool, slots):
-                    if not isinstance(done, _Raised):
-                        results[k] = done
-                        say(stage, len(results), len(jobs))
-                    elif isinstance(done.error, BrokenExecutor | RefusedError):
-                        raise done.error
-                    elif not failed(k, done.words):
-                        suspects.append(k)
+                for k, result, error in _finished(function, jobs, batch, pool, slots):
+                    if error is None:
+                        done(k, result)
+                    elif isinstance(error, RefusedError):
+                        raise error
+                    else:
+                        failed(k, " ".join(f"{type(error).__name__}: {error}".split()))
         except _Broken as broken:
-            ended = "the process that worked on it ended, killed or out of memory"
-            if not alone:
-                suspects.extend(broken.under_way)
-            elif not failed(batch[0], ended):
-                suspects.append(batch[0])
-        todo = deque(k for k in todo if k not in results and k not in suspects)
+            if alone:
+                failed(batch[0], "the process that worked on it ended, killed or out of memory")
+                continue
+            (suspects,) = broken.args
+            rest = [k for k in batch if k not in {*results, *tries, *suspects}]
+            batches += [*([k] for k in suspects), *([rest] if rest else [])]
     return [results[k] for k in range(len(jobs))]
 
 
-@dataclass(frozen=True)
-class _Raised:
-    """A task that raised."""
-
-    error: BaseException
-
-    @property
-    def words(self) -> str:
-        """In one line."""
-        return " ".join(f"{type(self.error).__name__}: {self.error}".split())
-
-
 class _Broken(BrokenExecutor):
-    """An executor that ended, and the jobs that were under way."""
-
-    def __init__(self, under_way: Sequence[int]):
-        super().__init__()
-        self.under_way = list(under_way)
+    """An executor that ended, with the jobs that were under way."""
 
 
 def _finished(
@@ -298,8 +285,8 @@ def _finished(
     numbers: Sequence[int],
     pool: Executor,
     slots: int,
-) -> Iterator[tuple[int, Result | _Raised]]:
-    """Jobs by number with what came of them, each as it is done, no more than `slots` under way."""
+) -> Iterator[tuple[int, Any, BaseException | None]]:
+    """Number, result and error of each job as it is done, no more than `slots` under way."""
     waiting, running = deque(numbers), dict[Future[Any], int]()
     here = isinstance(pool, Serial)  # nothing crosses a wire
     try:
@@ -311,20 +298,14 @@ def _finished(
                 waiting.popleft()
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             # A future is cancelled where the engine behind it has gone, as with its scheduler.
-            broken = [f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)]
-            for future in sorted(done - set(broken), key=running.__getitem__):
+            broken = {f for f in done if f.cancelled() or isinstance(f.exception(), BrokenExecutor)}
+            for future in sorted(done - broken, key=running.__getitem__):
                 k, error = running.pop(future), future.exception()
-                if error is not None:
-                    yield k, _Raised(error)
-                else:
-                    result = future.result()
-                    yield k, result if here else pickle.loads(result)
+                result: Any = None if error else future.result()
+                yield k, result if here or error else pickle.loads(result), error
             if broken:
-                raise _Broken(list(running.values()))
-    except BrokenExecutor as error:
-        # Giving a task to a pool that has just ended says so, too.
-        if isinstance(error, _Broken):
-            raise
+                raise BrokenExecutor
+    except BrokenExecutor as error:  # giving a task to a pool that has just ended says so, too
         raise _Broken(list(running.values()) or [waiting[0]]) from error
     finally:
         for future in running:

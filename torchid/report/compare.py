@@ -3,22 +3,15 @@ of intervals."""
 
 import math
 from functools import partial
+from typing import get_args
 
-from rich.text import Text
-
-from torchid.fleet.comparison import ComparedParameter, Comparison, TorqueSpread, Verdict
+from torchid.fleet.comparison import ComparedCause, Comparison, TorqueSpread, Verdict
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, finish, panel, rows_of
-from torchid.report.table import Cell, Report, Table, cell, cells, joint_numbers
+from torchid.report.table import Report, Table, cell, cells, joint_numbers, table_of
 from torchid.results.words import count, listed, short, unit_behind
 from torchid.statistics.proportion import HALF_95
 
-WORDS: dict[Verdict, str] = {
-    "differ": "differs",
-    "agree": "agrees",
-    "never_determined": "undetermined",
-    "not_compared": "not tested",
-}
 NOTES = {
     "identifications": "A value without ± was held there by the fit",
     "gap diagnoses": "A value without ± is a shape of the effect",
@@ -29,13 +22,11 @@ NOTES = {
 MOST_COLUMNS = 3
 """Results whose values all fit into the table."""
 
-LONGEST = 20
-"""Characters of a coefficient's name in the table; the JSON has all of it."""
-
 
 def report_of_comparison(found: Comparison) -> Report:
     """All that there is to see of a comparison."""
-    parts, drawn = [parameter_table(found), torque_table(found)], partial(forest_figure, found)
+    parts = [cause_table(found), parameter_table(found), torque_table(found)]
+    drawn = partial(forest_figure, found)
     return Report(
         verdict=verdict(found), parts=parts, warnings=found.notes, figures={"parameters": drawn}
     )
@@ -98,49 +89,47 @@ def torque_sentence(t: TorqueSpread, found: Comparison) -> str:
     return out + "."
 
 
+def cause_table(found: Comparison) -> Table:
+    """What each diagnosis says of every cause."""
+
+    def state(cause: ComparedCause, k: int) -> str:
+        least = cause.smallest[k]
+        return cause.states[k].replace("_", " ") + (f" below {least:.2g}" if least else "")
+
+    if len(found.labels) <= MOST_COLUMNS:
+        said = {label: [state(c, k) for c in found.causes] for k, label in enumerate(found.labels)}
+    else:
+        said = {"named by": [str(c.states.count("named")) for c in found.causes]}
+    return table_of(f"{found.robot}: causes", found.causes, beside=said)
+
+
 def parameter_table(found: Comparison) -> Table:
-    """Every coefficient: under its cause, or with those of its verdict."""
-    wide = len(found.labels) <= MOST_COLUMNS
-    rows: list[list[Cell]] = []
-    for cause in found.causes:
-        states = [
-            state.replace("_", " ") + ("" if least is None else f" below {least:.2g}")
-            for state, least in zip(cause.states, cause.smallest, strict=True)
-        ]
-        states = states if wide else [f"{cause.states.count('named')} name it", ""]
-        own = [p for p in found.parameters if p.cause == cause.label]
-        rows += [[Text(cause.label, "bold"), *states], *(_row(p, wide) for p in own), []]
-    for kind, word in WORDS.items() if not found.causes else ():
-        if own := found.having(kind):
-            rows += [[Text(word, "bold")], *(_row(p, wide) for p in own), []]
-    labels = [f"{name}\n{said}" for name, said in zip(found.labels, found.about, strict=True)]
-    columns = ("", *(labels if wide else ("lowest", "highest")), "mean", "spread", "p")
-    empty = [""] * len(columns)
-    return Table(
-        f"{found.robot}: value ± std",
-        columns,
-        [[*row, *empty[len(row) :]] if row else row for row in rows],
-        "p" if found.causes else "l",
-        f"{NOTES[found.kind]}. Mean and spread: of the results, as of units of one type (random "
-        "effects). p: of the test that all are equal; 5 % of those that differ are expected to be "
-        "false (Benjamini and Hochberg).",
+    """Every coefficient: what is said of it, or its cause, and its values."""
+    order = list(get_args(Verdict))
+    rows = (
+        found.parameters
+        if found.causes
+        else sorted(found.parameters, key=lambda p: order.index(p.verdict))
     )
-
-
-def _row(p: ComparedParameter, wide: bool) -> list[Cell]:
-    pairs = list(zip(p.own.tolist(), p.own_std.tolist(), strict=True))
-    if not wide:
-        known = sorted(pair for pair in pairs if not math.isnan(pair[0])) or pairs
-        pairs = [known[0], known[-1]]
+    pairs = [list(zip(p.own.tolist(), p.own_std.tolist(), strict=True)) for p in rows]
+    heads = [f"{name}\n{said}" for name, said in zip(found.labels, found.about, strict=True)]
+    if len(heads) > MOST_COLUMNS:
+        heads = ["lowest", "highest"]
+        known = [sorted(x for x in own if not math.isnan(x[0])) or own for own in pairs]
+        pairs = [[own[0], own[-1]] for own in known]
     values = [
-        cell(value, ".4g") if math.isnan(std) else f"{value:.3g} ± {std:.1g}"
-        for value, std in pairs
+        [cell(x, ".4g") if math.isnan(std) else f"{x:.3g} ± {std:.1g}" for x, std in column]
+        for column in zip(*pairs, strict=True)
     ]
-    unit = f" [{p.unit}]" if p.unit not in ("", "1") else ""
-    name = f"  {short(p.name, LONGEST - len(p.unit))}{unit}"
-    if p.verdict == "not_compared":
-        return [name, *values]
-    return [name, *values, cell(p.mean), cell(p.between, ".1g"), cell(p.p, ".1g")]
+    return table_of(
+        f"{found.robot}: value ± std",
+        rows,
+        f"name {'cause' if found.causes else 'verdict'} mean between p",
+        f"{NOTES[found.kind]}. Mean, and spread from result to result: as of units of one type "
+        "(random effects). p: of the test that all are equal; 5 % of those that differ are "
+        "expected to be false (Benjamini and Hochberg).",
+        beside=dict(zip(heads, values, strict=False)),
+    )
 
 
 def torque_table(found: Comparison) -> Table | None:

@@ -398,8 +398,8 @@ def _cell(entry: object, name: str, col: Col) -> str:
         case (float(), float()):
             return " .. ".join(cells(value, col.digits))
         case tuple() | list():
-            whole = all(isinstance(x, str) for x in value)
-            return (", ".join(value) if whole else number_list(value)) or "-"
+            numbers = all(isinstance(x, int | float) for x in value)
+            return (number_list(value) if numbers else ", ".join(map(str, value))) or "-"
     return number_list([value]) if isinstance(value, Joint) else str(value)
 
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from torchid.report.table import Report, Table
+from torchid.report.table import Report, Table, table_of
 from torchid.results.words import count
 from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.own import OwnCheck
@@ -13,7 +13,8 @@ from torchid.withheld.planted import OUTSIDE, Calibration, Planted
 def report_of_own_check(found: OwnCheck) -> Report:
     """All that there is to see of the check."""
     half = "untouched data: the second half of every trajectory (--held-out for others)"
-    said: list[Table | str] = [own_table(found), *([] if found.whole else [half])]
+    withheld = table_of("Accepted effects, withheld", found.withheld)
+    said: list[Table | str] = [withheld, *([] if found.whole else [half])]
     return Report(verdict=own_headline(found), parts=said)
 
 
@@ -28,22 +29,6 @@ def own_headline(found: OwnCheck) -> str:
         return f"{text}; without any of them these data show no gap."
     closed = f"{sum(judged)} of the {len(judged)} that leave a gap here were closed as far as known"
     return f"{text}; {closed}."
-
-
-def own_table(found: OwnCheck) -> Table:
-    """What was withheld, and what the diagnosis named instead."""
-    withheld = []
-    for w in found.withheld:
-        others = (
-            f"{f.effect} {_joints(f.joints)}" if f.joints else f.effect
-            for f in w.found
-            if (f.effect, f.joints) != (w.effect, w.joints)
-        )
-        again = "yes" if w.named else "in a set" if w.in_set else "no"
-        shares = ("no gap" if x is None else f"{100 * x:.0f} %" for x in (w.closed, w.known))
-        withheld.append((w.effect, _joints(w.joints), again, ", ".join(others), *shares))
-    heads = ("effect", "joint", "found again", "named instead", "closed", "known to close")
-    return Table("Accepted effects, withheld", heads, withheld, "pppppp")
 
 
 def report_of_calibration(found: Calibration) -> Report:

@@ -7,6 +7,7 @@ it once more and close with it what it is known to close.
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Annotated
 
 import torch
 from msgspec import UNSET, UnsetType, field, structs
@@ -14,10 +15,7 @@ from msgspec import UNSET, UnsetType, field, structs
 from torchid import __version__
 from torchid.design.columns import Columns, Model
 from torchid.doctor.first import ask_first
-from torchid.effects.registry import (
-    EVENTS,
-    nominal_effects,
-)
+from torchid.effects.registry import EVENTS, nominal_effects
 from torchid.errors import LogError
 from torchid.gap.data import prepare
 from torchid.gap.diagnosis import Finding, TorqueDiagnosis
@@ -31,7 +29,8 @@ from torchid.identification.identify import prepared
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, each
-from torchid.results.record import Joint, Part, Record, Result, Rows
+from torchid.results.record import Col, Joint, Part, Record, Result, Rows
+from torchid.results.words import number_list, percent
 from torchid.robot.model import Robot
 
 
@@ -66,6 +65,9 @@ class FoundThere(Part, frozen=True):
     effect: str
     joints: tuple[Joint, ...]
 
+    def __str__(self) -> str:
+        return f"{self.effect} {number_list(self.joints)}".strip()
+
 
 class Withheld(Part, frozen=True):
     """An accepted effect, taken out of the corrected model, on untouched data.
@@ -83,13 +85,15 @@ class Withheld(Part, frozen=True):
         as_much: whether the gap shrank as much as it is known to; None where there was none.
     """
 
-    effect: str
-    joints: tuple[Joint, ...]
-    named: bool
-    in_set: bool
-    found: tuple[FoundThere, ...]
-    known: float | None = field(name="known_closed")
-    closed: float | None
+    effect: Annotated[str, Col()]
+    joints: Annotated[tuple[Joint, ...], Col()]
+    named: Annotated[bool, Col()]
+    in_set: Annotated[bool, Col()]
+    found: Annotated[tuple[FoundThere, ...], Col("all that is named")]
+    known: Annotated[float | None, Col("known to close", words=percent)] = field(
+        name="known_closed"
+    )
+    closed: Annotated[float | None, Col(words=percent)]
     closed_ci95: tuple[float, float] | None
     status: str
     as_much: bool | None = None
@@ -141,12 +145,8 @@ class OwnCheck(Result):
     @cached_property
     def record(self) -> OwnRecord:
         """As the JSON has it."""
-        return OwnRecord.of(
-            self,
-            version=__version__,
-            robot=self.first.robot.name,
-            first=self.first.record,
-        )
+        first = self.first
+        return OwnRecord.of(self, version=__version__, robot=first.robot.name, first=first.record)
 
 
 def withheld_own(

@@ -9,7 +9,7 @@ import numpy as np
 
 from torchid.report.colours import BLUE, BROWN, GREEN, GREY, INK, ORANGE, PURPLE, RED
 from torchid.report.panels import Figure, Figures, finish, panel, tiles
-from torchid.report.table import Report, Table, cells, joint_numbers
+from torchid.report.table import Report, Table, cells, joint_numbers, table_of
 from torchid_study.equal_torque.study import EqualTorqueStudy
 from torchid_study.wrenches.classes import KINDS as CLASS_NAMES
 from torchid_study.wrenches.classes import MIXED, ordered_classes
@@ -69,12 +69,8 @@ def joint_table(study: EqualTorqueStudy) -> Table:
 
 def effect_table(study: EqualTorqueStudy) -> Table:
     """Differences of the classes, with 95 % intervals."""
-    rows = [
-        (e.first, e.second, interval(e.ratio), interval(e.delta)) for e in study.comparison.effects
-    ]
-    columns = ("class", "against", "times the error", "Cliff's delta")
     title = "differences of the classes (95 % intervals from whole chains)"
-    return Table(title, columns, rows, "lpll")
+    return table_of(title, study.comparison.effects, "first second ratio delta")
 
 
 def class_table(found: Comparison, title: str, note: str = "") -> Table:
@@ -84,7 +80,7 @@ def class_table(found: Comparison, title: str, note: str = "") -> Table:
 
     def row(c: ClassSummary, effect: EffectSize | None) -> list[str]:
         sizes = cells((c.median, c.lower_quartile, c.upper_quartile))
-        against = ["-"] * 2 if effect is None else [interval(effect.ratio), interval(effect.delta)]
+        against = ["-"] * 2 if effect is None else [str(effect.ratio), str(effect.delta)]
         return [c.name, str(c.sets), *sizes, *against]
 
     rows = [row(c, effects.get(c.name)) for c in found.classes]
@@ -114,15 +110,6 @@ def kind_words(kind: str) -> str:
     """A kind as people read it."""
     names = {"com": "CoM", "inertia+com": "inertia + CoM", "total_mass": "total mass"}
     return names.get(kind, kind)
-
-
-def interval(found: Estimate) -> str:
-    """Value and interval."""
-    if math.isnan(found.value):
-        return "-"
-    if math.isnan(found.low):
-        return f"{found.value:.2f} (too few chains)"
-    return f"{found.value:.2f} [{found.low:.2f}, {found.high:.2f}]"
 
 
 _NEARLY_ALL = 0.1

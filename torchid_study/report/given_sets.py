@@ -6,7 +6,7 @@ from functools import partial
 from torchid.report.panels import Figure, Figures
 from torchid.report.table import Report, Table, cells, joint_numbers
 from torchid_study.equal_torque.given_sets import GivenSets
-from torchid_study.report.equal_torque import by_class, class_table, error_by_degree, interval
+from torchid_study.report.equal_torque import by_class, class_table, error_by_degree
 from torchid_study.wrenches.classes import class_of
 
 _MOST_ROWS = 40
@@ -23,7 +23,7 @@ def report_of_given_sets(found: GivenSets, warnings: Sequence[str]) -> Report:
 def tables(found: GivenSets) -> list[Table]:
     """Set by set, then by class and by reason where there are enough of them."""
     rho = found.comparison.correlation
-    value = interval(rho.rho) if rho.sets else "-"
+    value = str(rho.rho) if rho.sets else "-"
     title = f"largest force error by class and reason [N]; Spearman's rho with the degree {value}"
     several = len(found.sets) > 1
     return [set_table(found), *([class_table(found.comparison, title)] if several else [])]

@@ -8,10 +8,12 @@ which sets belong together.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from torchid.errors import TorchidError
+from torchid.results.record import Col
 from torchid.typing import Float, Int, Tensor
 from torchid_study.wrenches.classes import FEASIBLE, class_of, ordered_classes
 from torchid_study.wrenches.resampling import (
@@ -81,10 +83,10 @@ class EffectSize:
         note: why there is no value or no interval, else empty.
     """
 
-    first: str
-    second: str
-    delta: Estimate
-    ratio: Estimate
+    first: Annotated[str, Col("class")]
+    second: Annotated[str, Col("against")]
+    delta: Annotated[Estimate, Col("Cliff's delta")]
+    ratio: Annotated[Estimate, Col("times the error")]
     sets: tuple[int, int]
     note: str = ""
 

@@ -4,6 +4,7 @@ Sets that come from one chain or one direction are not independent, so the boots
 clusters with replacement (Davison and Hinkley 1997, section 3.8). The intervals are percentiles.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -38,6 +39,14 @@ class Estimate:
     low: Real
     high: Real
     clusters: int
+
+    def __str__(self) -> str:
+        """Value and interval."""
+        if math.isnan(self.value):
+            return "-"
+        if math.isnan(self.low):
+            return f"{self.value:.2f} (too few chains)"
+        return f"{self.value:.2f} [{self.low:.2f}, {self.high:.2f}]"
 
 
 NO_ESTIMATE = Estimate(float("nan"), float("nan"), float("nan"), 0)

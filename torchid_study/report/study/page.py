@@ -20,7 +20,7 @@ from torchid.report.page.document import Origin, Page, origin
 from torchid.report.panels import save_small
 from torchid.report.table import Report, Section, Table, joint_numbers
 from torchid.results.words import count, listed
-from torchid_study.report.equal_torque import class_table, interval
+from torchid_study.report.equal_torque import class_table
 from torchid_study.report.study import facts
 from torchid_study.report.study.facts import by_feasibility, ids, number, verdict
 from torchid_study.report.study.figures import drawings
@@ -158,9 +158,7 @@ def run_table(study: Study) -> Table:
         count(found.correlation.sets, "set"): found.correlation,
         f"the {found.correlation_infeasible.sets} infeasible ones": found.correlation_infeasible,
     }
-    rho = [
-        f"{interval(c.rho)} over {what}" for what, c in ranked.items() if c.rho.value == c.rho.value
-    ]
+    rho = [f"{c.rho} over {what}" for what, c in ranked.items() if c.rho.value == c.rho.value]
     said = f"Rank correlation of degree and error: {listed(rho)}. " if rho else ""
     return class_table(
         found,
