@@ -128,9 +128,8 @@ def noise_of(
     beyond = (shown - own).clamp(min=0) / share
     # Only joints that leave more than the noise, and what would be worth a name, are worth a
     # predictor.
-    above = within > least.square()
-    if floor is not None:
-        above &= within + beyond > floor.low.square()
+    known = torch.zeros_like(within) if floor is None else floor.low.square()
+    above = (within > least.square()) & (within + beyond > known)
     joints = above.nonzero().flatten().tolist()
     found = predict_out_of_fold(columns.motions, samples, looked, seed, joints)
     predicted = found.left(looked).square().mean(1) / share
