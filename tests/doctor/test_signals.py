@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.signal import welch
 
 from tests.doctor.synthetic import clean, log_faults
-from torchid.doctor import torque
 from torchid.doctor.examine import MODEL_CHECKS, examine, signal_checks
 from torchid.doctor.first import ask_first
 from torchid.doctor.repair import repaired
@@ -199,16 +197,6 @@ def test_millimetres_of_a_sliding_joint(also_velocity):
     assert torch.allclose(mended.q, log.q)
     assert mended.dq is not None
     assert torch.allclose(mended.dq, log.dq)
-
-
-@pytest.mark.parametrize("samples", [128, 255, 300_000])
-def test_a_density_is_that_of_welch(samples, monkeypatch):
-    monkeypatch.setattr(torque, "AT_ONCE", 1000)
-    x = np.random.default_rng(samples).standard_normal((samples, 2)).cumsum(0)
-    frequency, power = torque._density(x, 250.0)
-    expected = welch(x, 250.0, nperseg=128, axis=0)
-    assert np.array_equal(frequency, expected[0])
-    assert np.allclose(power, expected[1], rtol=1e-9, atol=0)
 
 
 def test_a_dead_velocity_names_its_joint():

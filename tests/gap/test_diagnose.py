@@ -21,6 +21,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
+from torchid.results.answer import Answer
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import Sensors, measured_log
@@ -33,6 +34,7 @@ RATE = 125.0
 NOISE = 0.05
 FC = 0.6
 QUICK = GapSettings(rollout=False)
+WATCHED: list[Answer] = []
 FRICTION = {"effect": "coulomb_friction", "joint": 2, "Fc": FC}
 REAL = replace(ROBOT, effects=(FRICTION,))
 
@@ -99,7 +101,9 @@ CASES: dict[str, Callable[[], TorqueDiagnosis]] = {
     "free": lambda: diagnose_torque(
         ROBOT, logged(REAL), settings=replace(QUICK, parameters="free")
     ),
-    "rollout": lambda: diagnose_torque(ROBOT, logged(REAL), settings=GapSettings()),
+    "rollout": lambda: diagnose_torque(
+        ROBOT, logged(REAL), settings=GapSettings(), watch=WATCHED.append
+    ),
 }
 
 SLOW = (
@@ -415,3 +419,10 @@ def test_the_corrected_model_is_simulated_forwards():
     assert case("coulomb").how_far.rollout is None
     assert case("rollout").how_far.rollout
     assert case("rollout").findings == case("coulomb").findings
+
+
+@pytest.mark.slow
+def test_the_whole_answer_is_there_before_it_is_simulated():
+    headline = case("rollout").answer.headline
+    assert WATCHED[0].status == "searching"
+    assert WATCHED[-1].headline == headline

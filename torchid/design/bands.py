@@ -16,6 +16,7 @@ from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.statistics.robust import robust_std, white_variance
+from torchid.statistics.spectrum import density
 from torchid.typing import Float, Tensor
 
 CUTOFF = 8.0
@@ -61,12 +62,10 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
     level = torch.zeros(robot.n, dtype=torch.float64)
     if robot.parameters is None:
         return level
-    from scipy.signal import welch
-
     # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length.
     for rows, rate in zip(log.slices(), log.rates, strict=True):
         q = log.q[rows].double().numpy()
-        frequency, power = welch(q, rate, nperseg=min(len(q), round(4 * rate)), axis=0)
+        frequency, power = density(q, rate, min(len(q), round(4 * rate)))
         top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
         if top.any():
             level += len(q) / log.samples * torch.from_numpy(power[top]).median(0).values

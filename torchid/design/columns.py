@@ -17,7 +17,7 @@ from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.effects.registry import Valued, arm_of, in_rounds, model_torque, nominal_effects
+from torchid.effects.registry import Valued, arm_of, model_torque, nominal_effects
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -55,27 +55,32 @@ class Model:
         """The arm that an effect is of: with the bodies among the effects."""
         return arm_of(effect, self.robot, self.effects)
 
-    def torque(self, segment: Segment, samples: Samples) -> Float[Tensor, "T n"]:
-        """Torque along a segment. Effects that differentiate the model's torque see the motion
-        low-passed like the samples, as their columns do: twice differentiated, the encoder's noise
-        would be all that is left of them."""
-        rough = [p for p in self.effects if p[0].smooth]
-        others = [p for p in self.effects if not p[0].smooth]
-        tau = model_torque(self.robot, others, segment.motion)
-        if rough:
-            motion = segment.motion._replace(torque=self.load(segment.motion))
-            low = smoothed(motion, samples)
-            tau = tau + sum(effect.all_torques(low, v, self.arm_of(effect)) for effect, v in rough)
-        return tau
+    def torque(
+        self, segment: Segment, samples: Samples, load: Float[Tensor, "T n"] | None = None
+    ) -> Float[Tensor, "T n"]:
+        """Torque along a segment, whose `load` may be known. Effects that differentiate the model's
+        torque see the motion low-passed like the samples, as their columns do: twice
+        differentiated, the encoder's noise would be all that is left of them."""
+        load = self.load(segment.motion) if load is None else load
+        motion = segment.motion._replace(torque=load)
+        others = [p for p in self.effects if not _enters_load(p)]
+        low = smoothed(motion, samples) if any(e.smooth for e, _ in others) else motion
+        return load + sum(
+            e.all_torques(low if e.smooth else motion, v, self.arm_of(e)) for e, v in others
+        )
 
     def load(self, motion: Motion) -> Float[Tensor, "T n"]:
         """Torque that effects see: of the body and of the sharp effects that need no torque
         themselves."""
-        return model_torque(self.robot, in_rounds(self.effects)[0], motion)
+        return model_torque(self.robot, [p for p in self.effects if _enters_load(p)], motion)
 
     def described(self) -> Robot:
         """The model as a robot description."""
         return replace(self.robot, effects=tuple(e.record(v) for e, v in self.effects))
+
+
+def _enters_load(valued: Valued) -> bool:
+    return not (valued[0].smooth or "torque" in valued[0].needs)
 
 
 def smoothed(motion: Motion, samples: Samples) -> Motion:
@@ -131,7 +136,8 @@ class Columns:
     @cached_property
     def gap(self) -> Float[Tensor, "n N"]:
         """Samples of the measured torque minus the model's."""
-        parts = (s.tau - self.model.torque(s, self.samples) for s in self.samples.segments)
+        pairs = zip(self.samples.segments, self.motions, strict=True)
+        parts = (s.tau - self.model.torque(s, self.samples, m.torque) for s, m in pairs)
         return self.samples.of([x.T for x in parts])
 
     def of(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:

@@ -26,6 +26,7 @@ from torchid.effects.instants import shifted
 from torchid.effects.variation import rigid_torque
 from torchid.log.filtering import extended, fast_length
 from torchid.robot.inertia import PARAMETERS_PER_LINK
+from torchid.statistics.spectrum import density
 from torchid.typing import Bool, Float, Tensor
 
 TOP = 0.8
@@ -327,21 +328,21 @@ class _Joint:
     @cached_property
     def late(self) -> list[Tensor]:
         """Spectra of what the load would be less, were it delayed or filtered."""
-        from scipy.signal import butter, lfilter
-
-        out = []
+        out, late = [], torch.tensor(LATE, dtype=torch.float64).unsqueeze(1)
         for (load, _), motion in zip(self.driven, self.spectra.motions, strict=True):
-            t, rate = motion.require("t", "a delay"), self.spectra.samples.rate
-            x, changes = load.numpy() - float(load[0]), []
-            for late in LATE:
-                share = 1 - math.exp(-1 / (rate * late))
-                hertz = min(1 / (2 * math.pi * late), 0.4 * rate)  # what a discrete filter can be
-                changes += [
-                    shifted(load.unsqueeze(1), t, -late)[:, 0].numpy() - load.numpy(),
-                    lfilter([share], [1, share - 1], x) - x,
-                    lfilter(*butter(2, hertz, fs=rate), x) - x,
-                ]
-            out.append(torch.from_numpy(np.stack(changes)))
+            t, rate, x = motion.require("t", "a delay"), self.spectra.samples.rate, load - load[0]
+            size = fast_length(2 * len(x))
+            turn = torch.arange(size // 2 + 1, dtype=torch.float64) * (2 * math.pi / size)
+            # Low-passes of first order, and Butterworth's of second as far as a discrete one goes.
+            keeps = (-1 / (rate * late)).exp()
+            first = (1 - keeps) / (1 - keeps * torch.polar(torch.ones_like(turn), -turn))
+            hertz = (1 / (2 * math.pi * late)).clamp(max=0.4 * rate)
+            s = 1j * (turn / 2).tan() / (math.pi * hertz / rate).tan()
+            second = 1 / (1 + math.sqrt(2) * s + s * s)
+            spectrum = torch.fft.rfft(x, n=size) * torch.cat([first, second])
+            filtered = torch.fft.irfft(spectrum, n=size)[:, : len(x)] - x
+            delayed = [shifted(load.unsqueeze(1), t, -by)[:, 0] - load for by in LATE]
+            out.append(torch.cat([torch.stack(delayed), filtered]))
         return self.freed(out)
 
 
@@ -358,13 +359,11 @@ def wiener(
         rate: of them [Hz].
         top: frequency [Hz] below which they are looked at.
     """
-    from scipy.signal import welch
-
     width = min(round(2 * rate), *(len(x) for x in signals))
-    parts = [welch(x.numpy(), rate, nperseg=width) for x in signals]
+    parts = [density(x.unsqueeze(1).numpy(), rate, width) for x in signals]
     frequency = parts[0][0]
     lengths = np.array([len(x) for x in signals])
-    power = np.average([p for _, p in parts], axis=0, weights=lengths)
+    power = np.average([p[:, 0] for _, p in parts], axis=0, weights=lengths)
     end = (frequency > NOISE * top) & (frequency < top)
     level = np.median(power[end] / frequency[end] ** 4)
     share = np.clip(1 - level * frequency**4 / np.maximum(power, 1e-300), 0, 1)

@@ -7,6 +7,7 @@ import numpy as np
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, said
 from torchid.log.checks import NO_TORQUE
+from torchid.statistics.spectrum import density
 
 PILE = 0.004
 """Share of the samples that may lie exactly at the largest torque."""
@@ -21,8 +22,6 @@ SENSED = 1e-5
 arms."""
 FEWEST = 256
 """Samples of which a spectrum is taken at least."""
-AT_ONCE = 1024
-"""Pieces of a signal whose spectra are taken at once."""
 STRAIGHT = 0.4
 """Share of moving samples on the straight line between their neighbours: every second one, where
 twice as many were made of a log."""
@@ -148,7 +147,7 @@ def check_content(case: Case) -> Sequence[Check]:
         return [said("content", "doubtful straight", estimate=share, percent=100 * share)]
     # Density of the steps, whose own gain, none at rest, is taken out: where it is that of the
     # sensor's noise.
-    frequency, power = (x[1:] for x in _density(np.diff(x, axis=0), rate))
+    frequency, power = (x[1:] for x in density(np.diff(x, axis=0), rate, FEWEST // 2))
     power = power / (2 * np.sin(np.pi * frequency / rate))[:, None] ** 2
     top = np.median(power[frequency > 0.8 * frequency[-1]], 0)
     noise = np.sqrt(top * rate / 2) / x.std(0).clip(1e-300)
@@ -157,19 +156,3 @@ def check_content(case: Case) -> Sequence[Check]:
     held = (power.cumsum(0) / power.sum(0).clip(1e-300)).min(1)
     ends = float(frequency[:-1][held[:-1] < 1 - SENSED**2].max(initial=0.0))
     return [said("content", "doubtful", estimate=ends, ends=ends, nyquist=rate / 2)]
-
-
-def _density(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (F,) [Hz] and power densities (F, n) of signals (T, n) by Welch's method:
-    Hann windows that overlap by half, each less its mean."""
-    length = FEWEST // 2
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
-    pieces = np.lib.stride_tricks.sliding_window_view(x, length, 0)[:: length // 2]
-    power = np.zeros((x.shape[1], length // 2 + 1))
-    for k in range(0, len(pieces), AT_ONCE):
-        part = pieces[k : k + AT_ONCE]
-        spectrum = np.fft.rfft((part - part.mean(-1, keepdims=True)) * window)
-        power += (spectrum.real**2 + spectrum.imag**2).sum(0)
-    power *= 2 / (len(pieces) * rate * (window**2).sum())
-    power[:, [0, -1]] /= 2
-    return np.fft.rfftfreq(length, 1 / rate), power.T

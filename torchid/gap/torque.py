@@ -91,6 +91,8 @@ def diagnose_torque(
     say("locating")
     result = describe_diagnosis(decision, problem)
     if settings.rollout and not robot.floating:
+        if watch is not None:
+            watch(result.answer)  # which no simulation changes
         say("simulating forwards")
         here = problem.judged is None
         on = problem.judged or problem.data

@@ -31,9 +31,13 @@ def runs(seed: int = 0, count: int = 2, same: bool = True) -> list[Segment]:
 
 
 def found_with(
-    segments: list[Segment], residual: list[Tensor], repeats: Repeats | None = None, seed: int = 0
+    segments: list[Segment],
+    residual: list[Tensor],
+    repeats: Repeats | None = None,
+    seed: int = 0,
+    least: float = 0.0,
 ) -> Noise:
-    """Noise beside a model that lacks the residual."""
+    """Noise beside a model that lacks the residual, where so much torque is worth a name."""
     real = [replace(s, tau=s.tau + r) for s, r in zip(segments, residual, strict=True)]
     samples = Samples(real, CUTOFF)
     columns = Columns(Model(ROBOT, ()), samples)
@@ -41,7 +45,8 @@ def found_with(
     keep = moving_samples(samples)
     gap = columns.gap * keep
     data = replace(data_of(real), keep=keep, band=REPORT)
-    return noise_of(columns, columns.model, gap, data, repeats, seed)
+    worth = torch.full((ROBOT.n,), least, dtype=torch.float64)
+    return noise_of(columns, columns.model, gap, data, repeats, worth, seed)
 
 
 def size(segments: list[Segment], signals: list[Tensor]) -> Tensor:
@@ -85,7 +90,7 @@ def test_a_correction_that_differs_at_each_repeat_is_no_noise_of_the_log():
     )
     columns = Columns(drifting, samples)
     data = replace(data_of(real), keep=keep, band=REPORT)
-    found = noise_of(columns, given, columns.gap * keep, data, repeats, 0).floor
+    found = noise_of(columns, given, columns.gap * keep, data, repeats, torch.zeros(3), 0).floor
     alone = found_with(segments, z).floor
     torch.testing.assert_close(found.high, alone.high, rtol=0.1, atol=0.0)
 
@@ -142,6 +147,15 @@ def test_the_bracket_holds_the_noise(hz, gap):
     else:
         assert float((found.floor.high / size(segments, residual)).mean()) < 0.9
         assert int((found.structure > 0.3).sum()) >= 2
+
+
+def test_what_is_worth_no_name_is_not_predicted():
+    """A smooth function of the motion, smaller than what is worth a name: all of it is noise."""
+    segments = runs(1, count=3, same=False)
+    residual = [torch.tanh(s.motion.dq) for s in segments]
+    small, asked = (found_with(segments, residual, least=x) for x in (2.0, 0.0))
+    assert not bool(small.structure.any())
+    assert bool((small.floor.high > asked.floor.high).all())
 
 
 @pytest.mark.slow

@@ -43,13 +43,11 @@ class OutOfFold:
         prediction: (n, N) [N m; N].
         r2: (n,) share of the residual's sum of squares (about zero) that is predicted; may be < 0.
         interval: (n, 2) 95 % interval of it, from the spread between blocks.
-        block_seconds: (n,) length of the blocks [s].
     """
 
     prediction: Float[Tensor, "n N"]
     r2: Float[Tensor, " n"]
     interval: Float[Tensor, "n 2"]
-    block_seconds: Float[Tensor, " n"]
 
     def left(self, residual: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
         """The residual less what is predicted, where the prediction helps at all."""
@@ -75,14 +73,11 @@ def predict_out_of_fold(
     # Every joint's trees see the motion of all joints, and time.
     signals = [torch.cat([m.q, m.dq, m.ddq], -1).T for m in motions]
     shared = torch.cat([samples.of(signals), samples.t.unsqueeze(0)])
-    predictions, scores = [], []
+    predictions, scores = torch.zeros_like(residual), residual.new_zeros(len(residual), 3)
     # Trees this small are faster on one thread than on several, and never compete with torch's.
     with threadpool_limits(limits=1, user_api="openmp"):
-        for j, r in enumerate(residual):
-            if joints is not None and j not in joints:
-                predictions.append(torch.zeros_like(r))
-                scores.append((0.0, 0.0, 0.0, 0.0))
-                continue
+        for j in range(len(residual)) if joints is None else joints:
+            r = residual[j]
             features = torch.cat([_own_features(motions, samples, j), shared]).T.cpu().numpy()
             # Blocks of several correlation times, and the gap of one between what is trained on
             # and what is predicted.
@@ -91,10 +86,8 @@ def predict_out_of_fold(
             gap = max(1, round(min(time, length)))
             block = block_numbers(samples.bounds, length)
             predicted = _shrunk(_joint(features, r, samples.bounds, block, gap, seed), r, block)
-            predictions.append(predicted)
-            scores.append((*_score(r, predicted, block), length * samples.interval))
-    table = residual.new_tensor(scores)
-    return OutOfFold(torch.stack(predictions), table[:, 0], table[:, 1:3], table[:, 3])
+            predictions[j], scores[j] = predicted, scores.new_tensor(_score(r, predicted, block))
+    return OutOfFold(predictions, scores[:, 0], scores[:, 1:])
 
 
 def _own_features(motions: Sequence[Motion], samples: Samples, joint: int) -> Float[Tensor, "F N"]:

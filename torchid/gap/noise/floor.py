@@ -85,6 +85,7 @@ def noise_of(
     left: Float[Tensor, "n N"],
     data: Data,
     repeats: Repeats,
+    least: Float[Tensor, " n"],
     seed: int,
 ) -> Noise:
     """Noise beside a model.
@@ -95,6 +96,7 @@ def noise_of(
         left: what the corrected one leaves.
         data: of the log.
         repeats: among the segments.
+        least: (n,) torque that is worth a name [N m; N].
         seed: of the flexible predictor.
     """
     keep, band = data.keep, data.band
@@ -124,8 +126,10 @@ def noise_of(
         for x in (report, samples)
     )
     beyond = (shown - own).clamp(min=0) / share
-    # Only joints that leave more than the noise are worth a predictor.
-    above = within + beyond > 0 if floor is None else within + beyond > floor.low.square()
+    # Only joints that leave more than the noise, and what would be worth a name, are worth a
+    # predictor.
+    known = torch.zeros_like(within) if floor is None else floor.low.square()
+    above = (within > least.square()) & (within + beyond > known)
     joints = above.nonzero().flatten().tolist()
     found = predict_out_of_fold(columns.motions, samples, looked, seed, joints)
     predicted = found.left(looked).square().mean(1) / share

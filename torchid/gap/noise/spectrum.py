@@ -7,6 +7,7 @@ import torch
 
 from torchid.design.segments import Samples, Segment
 from torchid.log.filtering import ALL_PASSES, frequencies, low_pass
+from torchid.statistics.spectrum import density
 from torchid.typing import Float, Tensor
 
 _HANN = 2.0  # tapered, neighbouring frequencies are not independent
@@ -31,13 +32,13 @@ def white_level(
 def _densities(x: Tensor, p: Segment, cutoff: float) -> Float[Tensor, "n F"]:
     """Periodogram of a tapered signal between the cut-off and the wide band's edge. Without its
     straight line the taper's side lobes are small."""
-    from scipy.signal import periodogram
-
-    frequency, density = periodogram(x.cpu().numpy(), p.rate, "hann", detrend="linear", axis=0)
+    steps = torch.arange(len(x), dtype=x.dtype) - (len(x) - 1) / 2
+    straight = steps.unsqueeze(1) * (steps @ x / steps.square().sum().clamp(min=1.0))
+    frequency, power = density((x - straight).cpu().numpy(), p.rate, len(x))
     # From the cut-off of the fit to where the wide band ends, or the filter begins.
     last = min(p.band, ALL_PASSES * p.rate)
     inside = (frequency >= min(cutoff, 0.5 * last)) & (frequency <= last)
-    return torch.from_numpy(density[inside].T)
+    return torch.from_numpy(power[inside].T)
 
 
 def bandwidth(samples: Samples) -> float:

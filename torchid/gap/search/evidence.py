@@ -103,7 +103,7 @@ class Question:
         rows: columns of terms that were in a model, as samples.
         seen: directions of terms that were looked at.
         barred: causes that are not offered, by their keys.
-        residuals: what fits leave, and its autocorrelations; as long as the fits are there.
+        residuals, slow: what fits leave, and its autocorrelations; as long as the fits are there.
         left: (n,) torque that the model has been seen to leave unexplained, RMS [N m; N]; None
             where that is not known.
     """
@@ -115,9 +115,8 @@ class Question:
     seen: dict[int, int] = field(default_factory=dict, repr=False)
     barred: frozenset[object] = frozenset()
     left: Float[Tensor, " n"] | None = None
-    residuals: MutableMapping[Fitted, tuple[Tensor, Tensor]] = field(
-        default_factory=WeakKeyDictionary, repr=False
-    )
+    residuals: MutableMapping[Fitted, Tensor] = field(default_factory=WeakKeyDictionary, repr=False)
+    slow: MutableMapping[Fitted, Tensor] = field(default_factory=WeakKeyDictionary, repr=False)
 
     @property
     def fixed(self) -> tuple[Term, ...]:
@@ -303,14 +302,11 @@ def correction_torque(
     return question.mean(moved.square().sum(1)).sqrt()
 
 
-def left_by(question: Question, fit: Fitted) -> tuple[Float[Tensor, "n N"], Float[Tensor, "n _"]]:
-    """Samples that a fit leaves, and their autocorrelation; kept for the next time."""
-    found = question.residuals.get(fit)
-    if found is None:
-        left = residual(question, fit.terms, fit.x)
-        found = left, autocorrelation(left, question.candidates.columns.samples.bounds)
-        question.residuals[fit] = found
-    return found
+def left_by(question: Question, fit: Fitted) -> Float[Tensor, "n N"]:
+    """Samples that a fit leaves; kept for the next time."""
+    if fit not in question.residuals:
+        question.residuals[fit] = residual(question, fit.terms, fit.x)
+    return question.residuals[fit]
 
 
 def effective_samples(
@@ -318,15 +314,16 @@ def effective_samples(
 ) -> Float[Tensor, " n"]:
     """Independent samples (n,) among those of each joint, if what a fit leaves there is noise: as
     many as tell of a constant torque; or of that by which another fit differs."""
-    left, slow_as = left_by(question, fit)
-    times = time_of(slow_as)
+    left, bounds = left_by(question, fit), question.candidates.columns.samples.bounds
+    if fit not in question.slow:
+        question.slow[fit] = autocorrelation(left, bounds)
+    times = time_of(question.slow[fit])
     if other is not None:
-        along = left_by(question, other)[0] - left
+        along = left_by(question, other) - left
         a, b = along.square(), left.square()
         # Where they differ by rounding alone they do not differ.
         there = a.sum(1) > torch.finfo(a.dtype).eps * b.sum(1)
-        bounds = question.candidates.columns.samples.bounds
-        slow = time_of(slow_as * autocorrelation(along, bounds))
+        slow = time_of(question.slow[fit] * autocorrelation(along, bounds))
         # Noise that is larger where the two differ more tells less of it (White 1980).
         loud = (a * b).sum(1) * question.normal.rows / (a.sum(1) * b.sum(1)).clamp(min=1e-300)
         times = (slow * loud.clamp(min=1.0)).where(there, times)

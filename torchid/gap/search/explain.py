@@ -40,7 +40,7 @@ from torchid.gap.search.evidence import (
     rows_of,
     span_of,
 )
-from torchid.gap.search.solve import Solution, at_estimate, corrected_model, solve_terms
+from torchid.gap.search.solve import STEPS, Solution, at_estimate, corrected_model, solve_terms
 from torchid.gap.search.terms import BASE, PAYLOAD, Candidates, Term, candidates_of, excluding
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -337,10 +337,10 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
         more = best
 
 
-def solve(problem: Problem, fit: Fitted) -> Solution:
-    """The corrected model of a fit."""
-    data, wanted, block = problem.data, problem.wanted, problem.block
-    return solve_terms(problem.given, fit.terms, fit.values(), data, wanted, block, fit.effective)
+def solve(problem: Problem, fit: Fitted, steps: int = STEPS) -> Solution:
+    """The corrected model of a fit, by so many steps at most."""
+    asked = problem.data, problem.wanted, problem.block, fit.effective
+    return solve_terms(problem.given, fit.terms, fit.values(), *asked, steps)
 
 
 def without_terms(found: Explanation, gone: Sequence[Term], problem: Problem) -> Explanation:

@@ -177,7 +177,7 @@ class Against:
 
     def _squares_of(self, fit: Fitted) -> Float[Tensor, "M n"]:
         """Sums of squares of what a fit leaves, in each log."""
-        return self.draws.sums(left_by(self.question, fit)[0].square())
+        return self.draws.sums(left_by(self.question, fit).square())
 
     def weight(self, other: Fitted, terms: Sequence[Term] = ()) -> Alternative:
         """Of another explanation, with terms in the place of one of this one's."""

@@ -103,6 +103,7 @@ def solve_terms(
     wanted: Wanted,
     block: Int[Tensor, " N"],
     effective: Float[Tensor, " n"] | None = None,
+    steps: int = STEPS,
 ) -> Solution:
     """Fit terms together, from coefficients near the solution.
 
@@ -115,6 +116,7 @@ def solve_terms(
         block: (N,) block of every sample, for the standard deviations.
         effective: (n,) independent samples, beside which counts what is known beforehand; as many
             as there are if None.
+        steps: of Gauss and Newton at most; without any the coefficients are those given.
     """
     start, known = columns.model, prior_of(terms)
     rows = data.keep.sum(1).clamp(min=1).double()
@@ -123,7 +125,7 @@ def solve_terms(
     best: Solution | None = None
     weight = torch.ones_like(data.keep, dtype=torch.float64)
     last = torch.inf
-    for step in range(STEPS + 1):
+    for step in range(steps + 1):
         # The corrected model at the estimate, and what it leaves.
         taken = [at_estimate(t, v) for t, v in zip(taken, values, strict=True)]
         model = corrected_model(start, taken, values, wanted)
@@ -145,7 +147,7 @@ def solve_terms(
         best = Solution(
             start, wanted, tuple(taken), tuple(values), (), unknown, model, of_joint, a, left
         )
-        if (step > 1 and last - loss < SETTLED_SHARE * last) or step == STEPS or not len(a):
+        if (step > 1 and last - loss < SETTLED_SHARE * last) or step == steps or not len(a):
             break
         last = loss if step > 0 else torch.inf
         # Gauss-Newton: what the columns see in what is left, and what is known beforehand.

@@ -24,7 +24,7 @@ from torchid.gap.search.explain import Explanation, solve
 from torchid.gap.search.findings import Judged, at_an_end
 from torchid.gap.search.odds import Against, Misfit, Place, place_of
 from torchid.gap.search.replication import own_torque, replication
-from torchid.gap.search.solve import Solution
+from torchid.gap.search.solve import STEPS, Solution
 from torchid.gap.search.terms import LINK, Term, excluding
 from torchid.json_data import plain
 from torchid.results.replication import of_few_runs
@@ -98,20 +98,31 @@ def causes_of_few_runs(
         if len(near) < OF_A_PLACE and not (more or term.inertial or at_an_end(question, term)):
             near.append(term)
     asked = [term for near in places.values() for term in near]
-    entries: list[UnnamedEffect] = []
-    fits = refit_each(question, fit, [[*found.terms, t] for t in asked]) if asked else []
-    for term, with_it in zip(asked, fits, strict=True):
-        if with_it.evidence == -math.inf:  # physics refuses it
-            continue
-        solution = solve(problem, with_it)
+    fits = refit_each(question, fit, [[*found.terms, t] for t in asked])
+    # What physics refuses is none.
+    pairs = [p for p in zip(asked, fits, strict=True) if p[1].evidence > -math.inf]
+
+    def entry(term: Term, with_it: Fitted, steps: int) -> UnnamedEffect:
+        solution = solve(problem, with_it, steps)
         k = [id(t) for t in with_it.terms].index(id(term))
-        against = Against(question, with_it, problem.draws)
-        place = place_of(against, fit, term, own_torque(solution, k))
-        entries.append(_entry(solution, k, place, place.odds(misfit).sure))
-    few = of_few_runs((e.cause, e.replication) for e in entries)
-    of_few = [e for e in entries if (e.effect, e.joints) in few]
+        place = place_of(
+            Against(question, with_it, problem.draws), fit, term, own_torque(solution, k)
+        )
+        return _entry(solution, k, place, place.odds(misfit).sure)
+
+    # By the search's coefficients first; what few runs have then by those of the corrected model.
+    entries = [entry(*pair, steps=0) for pair in pairs]
+    for k in _of_few(entries):
+        entries[k] = entry(*pairs[k], steps=STEPS)
+    of_few = [entries[k] for k in _of_few(entries)]
     best = {e.joints: e for e in sorted(of_few, key=lambda e: e.closes_rms)}
     return tuple(sorted(best.values(), key=lambda e: -e.how_sure))
+
+
+def _of_few(entries: Sequence[UnnamedEffect]) -> list[int]:
+    """Numbers of those that a few runs have and most have none of."""
+    few = of_few_runs((e.cause, e.replication) for e in entries)
+    return [k for k, e in enumerate(entries) if (e.effect, e.joints) in few]
 
 
 def terms_without_name(

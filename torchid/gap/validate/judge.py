@@ -95,7 +95,9 @@ def check(
     band = data.band
     if before is None:
         base = refitted(columns.at(solution.start), data, solution.wanted)
-        noise = noise_of(columns, solution.start, solution.left, data, repeats, settings.seed)
+        question, left = found.question, solution.left
+        least = question.least(question.mean(found.empty.losses))
+        noise = noise_of(columns, solution.start, left, data, repeats, least, settings.seed)
     else:
         base, noise = before.base, before.measured
     if judged is None:
