@@ -271,8 +271,6 @@ def main() -> None:
     robot, parts, folds = read_folds(given)
     if given.held_out:
         others = list(read_log(given.held_out).trajectories())
-        if given.corrected:
-            ours(given.corrected, Log.concatenate(parts), others)
         folds, parts, given.only = [1] * len(parts) + [0] * len(others), parts + others, [0]
     for friction, which in product(given.friction.split(","), given.fitted.split(",")):
         squares = {seconds: list[Tensor]() for seconds in JUDGED}
@@ -293,6 +291,9 @@ def main() -> None:
                     radians = torch.from_numpy(error.reshape(-1, robot.n)) / kept.scale
                     rows.append(torch.cat([torch.zeros(1, robot.n), radians]).square())
         print_all(f"{friction} {which}", squares, busy / len(taken))
+    if given.held_out and given.corrected:
+        log = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f])
+        ours(given.corrected, log, [p for p, f in zip(parts, folds, strict=True) if not f])
 
 
 def ours(corrected: str, log: Log, others: Sequence[Log]) -> None:
@@ -300,22 +301,20 @@ def ours(corrected: str, log: Log, others: Sequence[Log]) -> None:
     arm, begun = ServoArm.read(corrected), time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         done = correct(arm.robot, arm, log, "mjcf", folder)
-        engine = ServosInMujoco(done.files[0].files[0], arm.robot)
+        engine = ServosInMujoco(done.files[0], arm.robot)
     busy = time.process_time() - begun
     data = prepare(arm.robot, Log.concatenate(others), arm.scale)
-    by_replay, by_engine = ({s: list[Tensor]() for s in JUDGED} for _ in range(2))
+    squares: tuple[dict[float | None, Sequence[Tensor]], ...] = ({}, {})
     for seconds in JUDGED:
         windows = windows_of(data.tracks, seconds)
         start = [x.numpy() for x in data.start(windows)]
         q = engine.moved(done.servos.servos, data.tracks, windows, *start)
-        square = ((q - data.q) / data.scale).square()
-        by_engine[seconds] = [square[a : a + rows] for a, rows in chunks_of(data, seconds)]
-        replayed = replay(arm, others, windows=seconds).simulated
-        by_replay[seconds] = [
-            (far.q - real.q).square() for far, real in zip(replayed, others, strict=True)
-        ]
-    print_all("torchid, own", by_replay, 0.0)
-    print_all("torchid, MJCF", by_engine, busy)
+        own = torch.cat([log.q for log in replay(arm, others, windows=seconds).simulated])
+        for by, found in zip(squares, (own, q / data.scale), strict=True):
+            square = (found - data.q / data.scale).square()
+            by[seconds] = [square[a : a + rows] for a, rows in chunks_of(data, seconds)]
+    print_all("torchid", squares[0], 0.0)
+    print_all("torchid in MuJoCo", squares[1], busy)
 
 
 def print_all(name: str, squares: Mapping[float | None, Sequence[Tensor]], busy: float) -> None:
