@@ -326,7 +326,9 @@ def test_a_ratio_that_was_refitted_is_called_one(tmp_path):
     """Where the file has no gain, as a URDF has none."""
     arm = replace(arm_with(true_servos(3)), unanchored=(1,))
     log = planted(arm.servos, motions=2, seconds=6.0, seed=2)
-    text = correct(robot(), arm, log, "mjcf", tmp_path).files[0].read_text()
+    done = correct(robot(), arm, log, "mjcf", tmp_path)
+    assert any("the gain of joint 2 is known as a ratio alone" in words for words in done.warnings)
+    text = done.files[0].read_text()
     assert "joint_2: kp: a ratio. Nothing anchors" in text
     assert "holds a load against gravity" in text
 

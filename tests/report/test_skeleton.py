@@ -72,3 +72,15 @@ def test_areas_are_the_errors():
 def test_a_phone_has_numbers_alone():
     figure = skeleton_figure(load_robot("3r"), answer(3), torch.zeros(1, 3), PHONE)
     assert [t.get_text() for t in figure.axes[0].texts] == ["1", "2", "3"]
+
+
+@pytest.mark.parametrize("name", ["panda", "kuka_lwr4"])
+def test_discs_that_make_room_for_others_stay_inside(name):
+    """Joints that lie on each other are drawn beside each other, at either end of the arm."""
+    robot = load_robot(name)
+    q = torch.tensor([0.3, -1.4, 0.2, 1.5, 0.1, 0.5, 0.0], dtype=torch.float64)[None]
+    axes = skeleton_figure(robot, answer(robot.n), q, PHONE).axes[0]
+    for low, high, at in ((*axes.get_xlim(), 0), (*axes.get_ylim(), 1)):
+        for disc in axes.patches:
+            assert low <= disc.get_center()[at] - disc.get_radius()
+            assert disc.get_center()[at] + disc.get_radius() <= high

@@ -104,8 +104,6 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     _require_follows(judged)
     no_field = unsaid_parameters(arm.servos, SAID)
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
-    if arm.unanchored:
-        words += f"; torques{of_joints(arm.unanchored)} in their ratios to kp alone"
     others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
     files = [asked.write(own[0], words + without_field(others))]
     servos: tuple[Path, ...] = ()

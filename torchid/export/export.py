@@ -1,7 +1,7 @@
 """Write a result's dynamics in another format, reload them, and compare before they are kept."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -200,6 +200,7 @@ def export_dynamics(
         left_out=left_out,
         notes=(
             *_of_servos(dynamics, to),
+            *_of_ratios(ratios),
             *_of_weight(dynamics, to),
             *(lost if xml else ()),
             *draft.notes,
@@ -244,6 +245,16 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     elif to not in get_args(Package):
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(names)} are not in it{hint}",)
+
+
+def _of_ratios(ratios: Mapping[int, float]) -> tuple[str, ...]:
+    """Which gains are numbers though the log tells a ratio, and no gain of the file is its unit."""
+    numbers = [j for j, ratio in ratios.items() if math.isnan(ratio)]
+    words = (
+        f"the gain of {joint_list(numbers)} is known as a ratio alone, and a number because MuJoCo "
+        "needs one: positions were run on the log with it, forces may be off by a factor; " + ANCHOR
+    )
+    return (words,) * bool(numbers)
 
 
 def _of_weight(dynamics: Dynamics, to: Format) -> tuple[str, ...]:

@@ -185,6 +185,9 @@ def skeleton_figure(
     axes.set_axis_off()
     at = (flat - 0.5 * (low + high)) * scale
     at[joints] = _kept_apart(at[joints], hubs)
+    # Discs that moved may lie beside the figure's middle.
+    ends = np.concatenate([at, *(at[joints] + s * hubs[:, None] for s in (-1, 1))])
+    at -= 0.5 * (ends.min(0) + ends.max(0))
     for a, b in bones:
         axes.plot(*at[[a, b]].T, color=GREY, linewidth=9, solid_capstyle="round", alpha=0.45)
     if robot.parents.count(-1) == 1 and not robot.floating:

@@ -2,22 +2,32 @@
 
     python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... [--folds 5] [--windows 60]
     python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... --held-out OTHER...
+        --corrected FILE
 
-MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits what a servo of torchid's has and an MJCF
-can say: kp, kv within a largest torque, damping, armature, dry friction, and of the command an
-offset, a scale, a delay and a filter of first order, of each joint (60 of six joints), to windows
-of 2 s from their measured start. Windows of 10 s are those of `torchid correct`. `default` has MuJoCo's dry friction, which
-creeps; `firm` has solimpfriction .9999, with which a joint that is stuck stays there. Masses are
-the file's, and the simulator, its derivatives and its optimiser MuJoCo's own. Each residual is the
-difference of positions in radians: its own default divides by each window's size.
+MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits, to windows of 2 s from their measured
+start, of each joint
+
+- `plain`: kp, damping, armature and dry friction, and one delay (25 numbers of six joints),
+- `offset`: an offset of the command, too (31),
+- `all`: what a servo of torchid's has and an MJCF can say: a velocity gain and a largest torque,
+  and of the command a scale, a delay and a filter of first order (60).
+
+`default` has MuJoCo's dry friction, which creeps; `firm` has solimpfriction .9999, with which a
+joint that is stuck stays there. Masses are the file's, and the simulator, its derivatives and its
+optimiser MuJoCo's own. Each residual is the difference of positions in radians: its own default
+divides by each window's size. FILE is torchid's, of `torchid gap ROBOT LOG... --save-model FILE`: it
+is judged on the same motions, by its own replay, and as MuJoCo moves what `torchid correct` makes of
+it (the seconds are that refit's). Windows of 10 s are those of `torchid correct`.
 """
 
 import io
 import os
 import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
+from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +38,19 @@ import numpy as np
 import torch
 from mujoco import sysid
 from scipy.signal import lfilter
+from torch import Tensor
 
+from torchid.export.correct import correct
 from torchid.export.correct_positions import WINDOW_S as PROMISED_S
 from torchid.export.export import export_dynamics
+from torchid.export.servo_mjcf import ServosInMujoco
 from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.position.data import WINDOW_S, PositionData, prepare
+from torchid.position.model import ServoArm
 from torchid.position.problem import some_of
+from torchid.position.replay import replay
+from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import windows_of
 from torchid_bench.benchmarks.position_errors import fold_parser, print_errors, read_folds
 
@@ -47,6 +63,13 @@ RANGE = {"kp": 30.0, "damping": 30.0, "armature": 30.0, "frictionloss": 100.0} |
     ("kv", "clip"), 100.0
 )
 """Factors by which a fit may leave these."""
+PLAIN = ("kp", "damping", "armature", "frictionloss")
+FITTED = {
+    "plain": PLAIN,
+    "offset": (*PLAIN, "offset"),
+    "all": (*START, "offset", "delay", "lag", "scale"),
+}
+"""Of each joint; where the delay is not among them, all joints have one."""
 STEPS = 4
 """Of the simulator, from one row of a log to the next."""
 DELAY_S, LATEST_S = 0.04, 0.15
@@ -56,6 +79,10 @@ PAST_S = 2.0
 """Of commands before a window, which a delay and a filter know [s]."""
 FARTHEST = 0.3
 """Offset of a command that a fit may have [rad]."""
+ITERATIONS = 15
+"""At most."""
+JUDGED = (None, WINDOW_S, PROMISED_S)
+"""Whole motions, and windows [s]."""
 FIRM = [0.9999, 0.9999, 0.001, 0.5, 2]
 """`solimpfriction` with which a joint that is stuck stays there."""
 
@@ -82,12 +109,16 @@ def spec_of(robot: Any, folder: Path, step: float, *, firm: bool) -> mujoco.MjSp
     return spec
 
 
-def parameters(names: Sequence[str]) -> Any:
+def parameters(names: Sequence[str], fitted: Sequence[str]) -> Any:
     """Logarithms of each joint's `START`, its offset in radians, its delay and lag in tenths of a
-    second, and the scale of its commands."""
-    out = sysid.ParameterDict()
+    second, and the scale of its commands: those that are fitted."""
+    out, late = sysid.ParameterDict(), (10 * DELAY_S, 0.0, 10 * LATEST_S)
+    if "delay" not in fitted:
+        out.add(sysid.Parameter("delay", *late))
     for joint in names:
         for what, start in START.items():
+            if what not in fitted:
+                continue
 
             def change(s: Any, p: Any, joint: str = joint, what: str = what) -> None:
                 value = float(np.exp(p.value[0]))
@@ -112,39 +143,58 @@ def parameters(names: Sequence[str]) -> Any:
             servo = s.actuator(joint)
             servo.biasprm[0] = servo.gainprm[0] * p.value[0]
 
-        out.add(sysid.Parameter(f"{joint} offset", 0.0, -FARTHEST, FARTHEST, modifier=shift))
-        out.add(sysid.Parameter(f"{joint} delay", 10 * DELAY_S, 0.0, 10 * LATEST_S))
-        out.add(sysid.Parameter(f"{joint} lag", 0.1, 0.0, 10 * LONGEST_LAG_S))
-        out.add(sysid.Parameter(f"{joint} scale", 1.0, *SCALES))
+        others: dict[str, tuple[tuple[float, float, float], Any]] = {
+            "offset": ((0.0, -FARTHEST, FARTHEST), shift),
+            "delay": (late, None),
+            "lag": ((0.1, 0.0, 10 * LONGEST_LAG_S), None),
+            "scale": ((1.0, *SCALES), None),
+        }
+        for what, (bounds, modifier) in others.items():
+            if what in fitted:
+                out.add(sysid.Parameter(f"{joint} {what}", *bounds, modifier=modifier))
     return out
 
 
+def value(params: Any, joint: str, what: str, without: float) -> float:
+    """Of a joint, else of all joints, else what stands for a parameter that is not fitted."""
+    for name in (f"{joint} {what}", what):
+        if name in params:
+            return float(params[name].value[0])
+    return without
+
+
 def residual(spec: mujoco.MjSpec, data: PositionData, chunks: Iterable[tuple[int, int]]) -> Any:
-    """sysid's residual [rad] of chunks of the motions, each of so many rows from a first one."""
+    """sysid's residual [rad] of chunks of the motions, each of so many rows from a first one; chunks
+    of one length are rolled out together, so that their model is made once."""
     model, n = spec.compile(), data.robot.n
     q, dq, u = (x.numpy() for x in (data.q, data.dq, data.tracks.u))
     dt, firsts = data.tracks.dt, data.tracks.first.numpy()
 
-    def rolled(*, control_signal: Any, param_dicts: Any, **rest: Any) -> Any:
-        times = control_signal[0].times
-        row = round(times[0] / dt)
+    @lru_cache(maxsize=100_000)
+    def late(row: int, times: int, j: int, delay: float, lag: float, scale: float) -> np.ndarray:
+        """Commands of joint j at so many times from a row on."""
         first = firsts[np.searchsorted(firsts, row, side="right") - 1]
         first = max(first, row - round(PAST_S / dt))
-        known = np.arange(first, row + len(times) // STEPS + 1)
-        before = times[0] - dt / STEPS * np.arange(STEPS * (row - first), 0, -1)
-        fine = np.concatenate([before, times])
-        moved = []
-        for p in param_dicts:
-            late = np.empty((len(fine), n))
-            for j, joint in enumerate(data.robot.joint_names):
-                delay, lag, scale = (
-                    p[f"{joint} {what}"].value[0] for what in ("delay", "lag", "scale")
+        known = np.arange(first, row + times // STEPS + 1)
+        fine = dt * first + dt / STEPS * np.arange(STEPS * (row - first) + times)
+        x = scale * np.interp(fine - delay, dt * known, u[known, j])
+        share = 1 - np.exp(-dt / STEPS / max(lag, 1e-9))
+        x, _ = lfilter([share], [1, share - 1], x, zi=[(1 - share) * x[0]])
+        return x[-times:]
+
+    def rolled(*, control_signal: Any, param_dicts: Any, **rest: Any) -> Any:
+        moved, each = [], len(control_signal) // len(param_dicts)
+        for k, control in enumerate(control_signal):
+            p, times = param_dicts[k // each], control.times
+            at = round(times[0] / dt), len(times)
+            joints = [
+                late(
+                    *at, j, value(p, joint, "delay", 0.0) / 10, value(p, joint, "lag", 0.0) / 10,
+                    value(p, joint, "scale", 1.0),
                 )
-                x = scale * np.interp(fine - delay / 10, dt * known, u[known, j])
-                share = 1 - np.exp(-dt / STEPS / max(lag / 10, 1e-9))
-                late[:, j], _ = lfilter([share], [1, share - 1], x, zi=[(1 - share) * x[0]])
-            late = late[len(before) :]
-            moved.append(sysid.TimeSeries(times, late, control_signal[0].signal_mapping))
+                for j, joint in enumerate(data.robot.joint_names)
+            ]  # fmt: skip
+            moved.append(sysid.TimeSeries(times, np.stack(joints, 1), control.signal_mapping))
         return sysid.sysid_rollout(control_signal=moved, **rest)
 
     def differences(
@@ -156,21 +206,28 @@ def residual(spec: mujoco.MjSpec, data: PositionData, chunks: Iterable[tuple[int
         seen = sysid.TimeSeries(measured.times[1:], measured.data[1:], measured.signal_mapping)
         return seen.data - found, own, seen
 
-    starts, controls, seen = [], [], []
+    measured: dict[int, list[Any]] = {}
     for a, rows in chunks:
         fine = a * dt + dt / STEPS * np.arange(STEPS * (rows - 1) + 1)
-        starts.append(sysid.create_initial_state(model, q[a], dq[a], np.zeros(0)))
-        controls.append(sysid.TimeSeries(fine, np.zeros((len(fine), n))))
-        at = dt * np.arange(a, a + rows)
-        seen.append(sysid.TimeSeries.from_names(at, q[a : a + rows], model))
-    names = [str(k) for k in range(len(starts))]
-    return sysid.build_residual_fn(
-        models_sequences=[sysid.ModelSequences("arm", spec, names, starts, controls, seen)],
-        modify_residual=differences,
-        custom_rollout=rolled,
-        resample_true=False,
-        n_threads=1,
-    )
+        start = sysid.create_initial_state(model, q[a], dq[a], np.zeros(0))
+        control = sysid.TimeSeries(fine, np.zeros((len(fine), n)))
+        seen = sysid.TimeSeries.from_names(dt * np.arange(a, a + rows), q[a : a + rows], model)
+        one = sysid.ModelSequences("arm", spec, str(a), start, control, seen)
+        measured.setdefault(rows, []).extend(one.measured_rollout)
+
+    def of(x: np.ndarray, params: Any) -> Any:
+        residuals = []
+        for alike in measured.values():
+            found, _, _ = sysid.model_residual(
+                x, params, lambda p: sysid.apply_param_modifiers(p, spec), alike, differences,
+                rolled, n_threads=1, resample_true=False,
+            )  # fmt: skip
+            # One column for each x, chunk after chunk.
+            found = found.T.reshape(x.shape[1], -1).T if x.ndim > 1 else found
+            residuals.append(found)
+        return residuals, [], []
+
+    return of
 
 
 def chunks_of(data: PositionData, seconds: float | None, most: int | None = None) -> list[Any]:
@@ -180,19 +237,43 @@ def chunks_of(data: PositionData, seconds: float | None, most: int | None = None
     return list(zip(windows.start.tolist(), windows.length.tolist(), strict=True))
 
 
+def fit(
+    robot: Robot, training: PositionData, fitted: Sequence[str], windows: int, *, firm: bool
+) -> tuple[mujoco.MjSpec, Any]:
+    """The arm and the numbers that sysid finds; prints how far it came."""
+    with tempfile.TemporaryDirectory() as folder:
+        spec = spec_of(training.robot, Path(folder), training.tracks.dt / STEPS, firm=firm)
+    function = residual(spec, training, chunks_of(training, WINDOW_S, windows))
+    begun, sums = parameters(robot.joint_names, fitted), []
+    with redirect_stdout(io.StringIO()):
+        found, _ = sysid.optimize(
+            begun, function, verbose=False, max_iters=ITERATIONS, eps=1e-4, xtol=1e-3,
+            iter_callback=lambda trace: sums.append(trace[-1].objective),
+        )  # fmt: skip
+    print(f"  {begun.size} numbers, iterations: " + " ".join(f"{x:.4g}" for x in sums))
+    values = {name: float(p.value[0]) for name, p in found.items()}
+    for what in fitted:
+        row = [values[f"{joint} {what}"] for joint in robot.joint_names]
+        row = np.exp(row).tolist() if what in START else row
+        print(f"  {what:13s}" + " ".join(f"{x:8.3g}" for x in row), flush=True)
+    return spec, found
+
+
 def main() -> None:
     parser = fold_parser(__doc__)
     parser.add_argument("--only", type=int, nargs="*", help="these folds alone")
     parser.add_argument("--held-out", type=Path, nargs="*", help="judge by these, fit to all LOG")
     parser.add_argument("--windows", type=int, default=60, help="that a fit looks at")
+    parser.add_argument("--fitted", default=",".join(FITTED))
     parser.add_argument("--friction", default="default,firm")
+    parser.add_argument("--corrected", help="torchid's model of LOG, beside --held-out")
     given = parser.parse_args()
     robot, parts, folds = read_folds(given)
     if given.held_out:
         others = list(read_log(given.held_out).trajectories())
         folds, parts, given.only = [1] * len(parts) + [0] * len(others), parts + others, [0]
-    for friction in given.friction.split(","):
-        squares: dict[float | None, list[torch.Tensor]] = {None: [], WINDOW_S: [], PROMISED_S: []}
+    for friction, which in product(given.friction.split(","), given.fitted.split(",")):
+        squares = {seconds: list[Tensor]() for seconds in JUDGED}
         busy, taken = 0.0, given.only or range(given.folds)
         for fold in taken:
             begun = time.process_time()
@@ -200,28 +281,47 @@ def main() -> None:
                 [p for p, f in zip(parts, folds, strict=True) if (f == fold) == k] for k in (0, 1)
             ]
             training, kept = (prepare(robot, Log.concatenate(some)) for some in sides)
-            with tempfile.TemporaryDirectory() as folder:
-                step, firm = training.tracks.dt / STEPS, friction == "firm"
-                spec = spec_of(training.robot, Path(folder), step, firm=firm)
-            function = residual(spec, training, chunks_of(training, WINDOW_S, given.windows))
-            with redirect_stdout(io.StringIO()):
-                fitted, _ = sysid.optimize(
-                    parameters(robot.joint_names), function, verbose=False, max_iters=15, eps=1e-4,
-                    xtol=1e-3,
-                )  # fmt: skip
+            spec, found = fit(
+                robot, training, FITTED[which], given.windows, firm=friction == "firm"
+            )
             busy += time.process_time() - begun
-            values = {name: float(p.value[0]) for name, p in fitted.items()}
-            for what in START:
-                row = (np.exp(values[f"{joint} {what}"]) for joint in robot.joint_names)
-                print(f"  fold {fold}  {what:13s}" + " ".join(f"{x:8.3g}" for x in row), flush=True)
             for seconds, rows in squares.items():
                 for chunk in chunks_of(kept, seconds):
-                    error = residual(spec, kept, [chunk])(fitted.as_vector(), fitted)[0][0]
+                    error = residual(spec, kept, [chunk])(found.as_vector(), found)[0][0]
                     radians = torch.from_numpy(error.reshape(-1, robot.n)) / kept.scale
                     rows.append(torch.cat([torch.zeros(1, robot.n), radians]).square())
-        for seconds, rows in squares.items():
-            each = "motions" if seconds is None else "windows"
-            print_errors(friction, seconds, rows, busy / len(taken), each=each)
+        print_all(f"{friction} {which}", squares, busy / len(taken))
+    if given.held_out and given.corrected:
+        log = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f])
+        ours(given.corrected, log, [p for p, f in zip(parts, folds, strict=True) if not f])
+
+
+def ours(corrected: str, log: Log, others: Sequence[Log]) -> None:
+    """Print errors of torchid's own replay of other motions, and of MuJoCo's of its refitted file."""
+    arm, begun = ServoArm.read(corrected), time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        done = correct(arm.robot, arm, log, "mjcf", folder)
+        engine = ServosInMujoco(done.files[0], arm.robot)
+    busy = time.process_time() - begun
+    data = prepare(arm.robot, Log.concatenate(others), arm.scale)
+    squares: tuple[dict[float | None, Sequence[Tensor]], ...] = ({}, {})
+    for seconds in JUDGED:
+        windows = windows_of(data.tracks, seconds)
+        start = [x.numpy() for x in data.start(windows)]
+        q = engine.moved(done.servos.servos, data.tracks, windows, *start)
+        own = torch.cat([log.q for log in replay(arm, others, windows=seconds).simulated])
+        for by, found in zip(squares, (own, q / data.scale), strict=True):
+            square = (found - data.q / data.scale).square()
+            by[seconds] = [square[a : a + rows] for a, rows in chunks_of(data, seconds)]
+    print_all("torchid", squares[0], 0.0)
+    print_all("torchid in MuJoCo", squares[1], busy)
+
+
+def print_all(name: str, squares: Mapping[float | None, Sequence[Tensor]], busy: float) -> None:
+    """A line of each kind of window."""
+    for seconds, rows in squares.items():
+        each = "motions" if seconds is None else "windows"
+        print_errors(name, seconds, rows, busy, each=each)
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ def print_errors(
     rms = 1e3 * torch.stack([s.mean(0).sqrt() for s in squares]).mean(1)
     row = " ".join(f"{v:6.1f}" for v in together.tolist())
     print(
-        f"{name:11s}{'whole' if seconds is None else f'{seconds:g} s':6s} all rows {row}  mean "
+        f"{name:18s}{'whole' if seconds is None else f'{seconds:g} s':6s} all rows {row}  mean "
         f"{float(together.mean()):5.2f}  {each}: mean {float(rms.mean()):5.2f}, median "
         f"{float(rms.median()):5.2f} mrad  ({busy:.0f} s of a core a fold)",
         flush=True,

@@ -245,7 +245,7 @@ class Findings:
         effects: the largest share first.
         parametric: corrections of inertial parameters.
         open: (term, best alternative that other data could separate from it).
-        rivals: (rise of the evidence, term, alternative in its place), as far as within the odds.
+        rivals: (odds against the answer, term, alternative in its place), as far as they count.
     """
 
     effects: tuple[Finding, ...]
@@ -277,8 +277,9 @@ def describe_findings(
         if not named[k]:
             continue
         names = one.ambiguous_with
-        near = ((r, other) for r, (other, *more) in one.others if not more)
-        rivals += [(r, term, other) for r, other in near if r > -2 * math.log(SET_ODDS)]
+        odds = [mass / max(one.odds.sure, 1e-12) for mass in one.odds.others]
+        near = zip(odds, (terms for _, terms in one.others), strict=True)
+        rivals += [(o, term, t[0]) for o, t in near if len(t) == 1 and o > 1 / SET_ODDS]
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()

@@ -1,7 +1,5 @@
 """What is told and what cannot be told from it, with the covariance of all their coefficients."""
 
-import math
-
 import msgspec
 
 from torchid.design.columns import Model
@@ -20,8 +18,8 @@ MOST_ALTERNATIVES = 8
 
 
 def joint_fits(found: Explanation, said: Findings, problem: Problem) -> tuple[JointFit, ...]:
-    """The answered explanation, and those with one term in another's place whose odds against it
-    are within what counts; none where nothing was fitted.
+    """The answered explanation, and those with one term in another's place, by their probabilities
+    in the answer; none where nothing was fitted.
 
     Args:
         found: the answered one.
@@ -32,23 +30,22 @@ def joint_fits(found: Explanation, said: Findings, problem: Problem) -> tuple[Jo
     if not len(solution.covariance):
         return ()
     question, fit = found.question, found.fit
-    out = [_fit(solution, 0.0, "")]
-    for rise, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST_ALTERNATIVES]:
+    out = [_fit(solution, 1.0, "")]
+    for odds, term, other in sorted(said.rivals, key=lambda r: -r[0])[:MOST_ALTERNATIVES]:
         others = excluding(fit.terms, [term])
         again = fit_to_convergence(question, [*others, other], fit)
         # What physics then refuses has left, and with it the alternative.
         if not any(t is other for t in again.terms):
             continue
         out.append(
-            _fit(solve(problem, again), rise, f"{_words(other)} in the place of {_words(term)}")
+            _fit(solve(problem, again), odds, f"{_words(other)} in the place of {_words(term)}")
         )
     total = sum(one.weight for one in out)
     return tuple(msgspec.structs.replace(one, weight=one.weight / total) for one in out)
 
 
-def _fit(solution: Solution, rise: float, words: str) -> JointFit:
-    """A solution's coefficients, without those of what happened once; the odds are exp of half the
-    rise of the evidence (Kass and Raftery 1995)."""
+def _fit(solution: Solution, odds: float, words: str) -> JointFit:
+    """A solution's coefficients, without those of what happened once."""
     coefficients: list[Fitted] = []
     lasting: list[int] = []
     at = 0
@@ -62,7 +59,7 @@ def _fit(solution: Solution, rise: float, words: str) -> JointFit:
     model = solution.model
     effects = tuple(p for p in model.effects if p[0].name not in EVENTS)
     return JointFit(
-        weight=math.exp(min(0.5 * rise, 500.0)),
+        weight=odds,
         words=words,
         coefficients=tuple(coefficients),
         covariance=solution.covariance[lasting][:, lasting],
