@@ -484,8 +484,9 @@ def rollout(
     begin = _at(q, dq, sets)
     out, ends = run(pieces, of, begin)
     near = MEET / tracks.dt ** torch.arange(3).to(q)[:, None, None, None]
-    # How far a joint ends where it begins: all the way where it did not move, else as seen.
+    # Of where a joint ends by where it begins: 1 where it did not move, else 0 until it is seen.
     slope = (ends[0] == begin[0]).to(q)
+    # Until every piece begins where the one before has ended.
     for _ in range(int(of.bincount().max()) - 1):
         now = _following(begin, ends, slope, of)
         some = ((now - begin).abs() > near).flatten(0, 2).any(0).nonzero().flatten()
