@@ -484,14 +484,18 @@ def rollout(
     begin = _at(q, dq, sets)
     out, ends = run(pieces, of, begin)
     near = MEET / tracks.dt ** torch.arange(3).to(q)[:, None, None, None]
+    # Of where a joint ends by where it begins: 1 where it did not move, else 0 until it is seen.
+    slope = (ends[0] == begin[0]).to(q)
+    # Until every piece begins where the one before has ended.
     for _ in range(int(of.bincount().max()) - 1):
-        now = _following(begin, ends, of)
+        now = _following(begin, ends, slope, of)
         some = ((now - begin).abs() > near).flatten(0, 2).any(0).nonzero().flatten()
         if not len(some):
             break
-        begin[..., some] = now[..., some]
-        again, ends[..., some] = run(pieces.some(some), of[some], begin[..., some])
-        out[: len(again), some] = again
+        again, after = run(pieces.some(some), of[some], now[..., some])
+        seen = (after[0] - ends[0][..., some]) / (now - begin)[0][..., some]
+        slope[..., some] = seen.clamp(0, 1).where(seen.isfinite(), slope[..., some])
+        begin[..., some], ends[..., some], out[: len(again), some] = now[..., some], after, again
     # Each window's rows from its pieces, NaN from its end on.
     count, row = of.bincount(), torch.arange(int(windows.length.max()))[:, None]
     nth = torch.minimum((row - 1).clamp(min=0) // rows, count - 1)
@@ -516,13 +520,13 @@ def _at(q: Float[Tensor, "W n"], dq: Float[Tensor, "W n"], sets: int) -> Float[T
     return state.mT[:, :, None].expand(-1, -1, sets, -1).contiguous()
 
 
-def _following(begin: Tensor, ends: Tensor, of: Tensor) -> Float[Tensor, "3 n P V"]:
-    """States where pieces begin that follow one another, from where they began and then ended: a
-    joint that did not move in a piece ends where it begins."""
-    now, still = begin.clone(), ends[0] == begin[0]
+def _following(begin: Tensor, ends: Tensor, slope: Tensor, of: Tensor) -> Float[Tensor, "3 n P V"]:
+    """States where pieces begin that follow one another, from where they began and then ended, and
+    the slopes (n, P, V) of the positions there over those here."""
+    now = begin.clone()
     for k in (1 + (of[1:] == of[:-1]).nonzero().flatten()).tolist():
         now[..., k] = ends[..., k - 1]
-        now[0, ..., k] += still[..., k - 1] * (now[0, ..., k - 1] - begin[0, ..., k - 1])
+        now[0, ..., k] += slope[..., k - 1] * (now[0, ..., k - 1] - begin[0, ..., k - 1])
     return now
 
 
