@@ -95,7 +95,7 @@ class _Naming:
             # No change is whose interval holds what the robot's file says.
             if changed and not any(map(has_changed, sizes)):
                 sure = min(sure, LIKELY - 0.01)
-            more = {"ambiguous_with": others, "replication": again, "how_sure": sure}
+            more = dict[str, object](ambiguous_with=others, replication=again, how_sure=sure)
             if any(s.name == "kp" and in_degrees(s.value / s.was) for s in sizes):
                 more["remedy"] = f"{effect.remedy[:-1]}, {IN_DEGREES}."
             out.append(finding_of(effect, j, sizes, (float(without[j]), float(with_it[j])), **more))
