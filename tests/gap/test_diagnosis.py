@@ -3,10 +3,11 @@
 import csv
 from pathlib import Path
 
+import pytest
 import torch
 
 from torchid.effects.motion import Motion
-from torchid.gap.diagnosis import TorqueOverTime, Trace, body_change
+from torchid.gap.diagnosis import TorqueOverTime, Trace, alien_joints, body_change
 from torchid.robot.inertia import InertialParameters
 
 
@@ -31,6 +32,28 @@ def test_numbers_without_a_mass_have_first_moments() -> None:
     said = body_change(none, body(1.5, [0.2, 0.0, 0.0], 0.03))
     assert "first moment (0.1, 0, 0) -> (0.3, 0, 0) kg m" in said
     assert "about the link's frame (xx, yy, zz) (0.02, 0.02, 0.02)" in said
+
+
+@pytest.mark.parametrize(
+    ("left", "alien"),
+    [
+        ([1.5, 1.5, 1.5], [True, True, True]),
+        ([1.5, 1.5, 0.5], [True, True, False]),  # a joint that the corrected model follows
+        ([1.5, 0.5, 0.5], [False, False, False]),  # most do
+    ],
+)
+def test_torque_is_alien_where_it_follows_neither_model_on_most_joints(
+    left: list[float], alien: list[bool]
+) -> None:
+    """The model as given errs by twice the torque, the corrected one by so much of it."""
+    traces = []
+    for rows in (40, 70):
+        torque = torch.sin(torch.arange(3 * rows).double()).reshape(rows, 3)
+        motion = Motion(torque, torque, torque)
+        before, after = -torque, torque * (1 - torch.tensor(left).double())
+        valid = torch.arange(rows) > 3
+        traces.append(Trace("run", 8.0, motion, torque, before, after, valid))
+    assert alien_joints(traces).tolist() == alien
 
 
 def trace(name: str, rows: int, begin: float) -> Trace:

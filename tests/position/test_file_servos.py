@@ -13,7 +13,7 @@ from tests.simulation.bodies import flywheel
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import Number
 from torchid.position.file_servos import weighing_otherwise
-from torchid.position.findings import has_changed
+from torchid.position.findings import has_changed, in_degrees
 from torchid.position.model import ServoArm
 from torchid.position.replay import replay
 from torchid.position.search import _SIZES
@@ -21,6 +21,8 @@ from torchid.report.brief import model_words
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, TORQUES, Servos
+
+DEGREES = 180 / math.pi
 
 
 def arm_of(servos: Servos, of: Robot | None = None) -> ServoArm:
@@ -39,6 +41,13 @@ def test_a_number_that_the_file_has_within_its_interval_has_not_changed(was, cha
     assert has_changed(Number("kp", "N m/rad", 27.0, (17.0, 37.0), was)) == changed
 
 
+@pytest.mark.parametrize(
+    ("factor", "degrees"), [(DEGREES, True), (0.9 / DEGREES, True), (40.0, False), (1.0, False)]
+)
+def test_a_gain_in_degrees_is_told_by_its_factor(factor, degrees):
+    assert in_degrees(factor) == degrees
+
+
 @pytest.mark.parametrize("stiff", [2.0, 12.0, 25.0])
 def test_limits_are_tried_however_stiff_the_servo_is(stiff):
     """From some size on that is tried the limit's own slope leads to it: none is further away than
@@ -50,7 +59,6 @@ def test_limits_are_tried_however_stiff_the_servo_is(stiff):
     assert float((tried / 2.2).log().abs().min()) < math.log(2.0)
 
 
-DEGREES = 180 / math.pi
 WRONG = {
     # The file's number on joints 1 to 3, and what the arm has.
     "proportional_gain": ("kp", [260.0 / DEGREES] * 3, 260.0),
@@ -77,6 +85,7 @@ def test_the_first_number_is_the_files(cause):
     joints = {j for j in range(3) if values[j] != true}
     named = {(c.effect, c.joints[0]) for c in answer.causes}
     assert named == {(cause, j) for j in joints}
+    assert all("180/pi" in c.remedy for c in answer.causes) == (cause == "proportional_gain")
     (size,) = answer.causes[0].sizes
     if cause == "saturation":
         # The gain is the file's, so that a torque is one: no share of the gain.

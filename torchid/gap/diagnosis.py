@@ -194,7 +194,7 @@ def _judged(traces: Sequence[Trace]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Joints (n,) that move; torque (N, n) that is valid, and what the model as given and the
     corrected one leave of it."""
     q = torch.cat([t.motion.q for t in traces])
-    valid = ((x[t.valid] for x in (t.measured, t.before, t.after)) for t in traces)
+    valid = [[x[t.valid] for x in (t.measured, t.before, t.after)] for t in traces]
     torque, given, corrected = (torch.cat(x) for x in zip(*valid, strict=True))
     return q.amax(0) - q.amin(0) > NEVER, torque, torque - given, torque - corrected
 

@@ -64,7 +64,7 @@ def finding_of(
         ci95={x.name: x.interval for x in numbers},
         was={x.name: x.was for x in numbers if not math.isnan(x.was)},
         error_without=errors[0], error_with=errors[1], meaning=effect.meaning,
-        remedy=effect.remedy, **{"ambiguous_with": (), **more},
+        **{"remedy": effect.remedy, "ambiguous_with": (), **more},
     )  # fmt: skip
 
 
@@ -206,11 +206,7 @@ class PositionDiagnosis(Diagnosis):
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} {unit} could not be seen."
-        refitted = ""
-        if self.file is not None:
-            refitted = (
-                f"A plain servo refitted to this log errs {self.plain_servo.whole_mrad:.3g} {unit}."
-            )
+        plain = f"A plain servo refitted to this log errs {self.plain_servo.whole_mrad:.3g} {unit}."
         return Answer(
             status=self.status,
             error=error_words(self.file is not None),
@@ -230,7 +226,7 @@ class PositionDiagnosis(Diagnosis):
             ),
             causes=tuple(c for c in every if c.how_sure is None or c.how_sure >= LIKELY),
             suspects=tuple(c for c in every if UNLIKELY <= (c.how_sure or 0.0) < LIKELY),
-            reason=small if self.status == "no_gap" else refitted,
+            reason=small if self.status == "no_gap" else "" if self.file is None else plain,
             doubt=self.doubt or UNSET,
         )
 

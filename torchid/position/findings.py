@@ -25,6 +25,8 @@ from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float
 
+IN_DEGREES = "in N m/rad: the file's is about 180/pi off, as if one of the two were N m/degree"
+
 _OF_ROBOT = {effect.name: effect for effect in (PAYLOAD, GRAVITY)}
 
 
@@ -93,9 +95,10 @@ class _Naming:
             # No change is whose interval holds what the robot's file says.
             if changed and not any(map(has_changed, sizes)):
                 sure = min(sure, LIKELY - 0.01)
-            more = {"ambiguous_with": others, "replication": again, "how_sure": sure}
-            ends = float(without[j]), float(with_it[j])
-            out.append(finding_of(effect, j, sizes, ends, **more))
+            more = dict[str, object](ambiguous_with=others, replication=again, how_sure=sure)
+            if any(s.name == "kp" and in_degrees(s.value / s.was) for s in sizes):
+                more["remedy"] = f"{effect.remedy[:-1]}, {IN_DEGREES}."
+            out.append(finding_of(effect, j, sizes, (float(without[j]), float(with_it[j])), **more))
         return out
 
     def how_sure(
@@ -197,6 +200,11 @@ def _load_sizes(load: Loaded) -> tuple[Number, ...]:
         for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
     )
     return (mass, *com)
+
+
+def in_degrees(factor: float) -> bool:
+    """Whether two gains by this factor apart are one in N m/rad and in N m/degree, to a fifth."""
+    return abs(abs(math.log(factor)) - math.log(180 / math.pi)) < 0.2
 
 
 def has_changed(size: Number) -> bool:

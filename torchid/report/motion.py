@@ -101,7 +101,7 @@ MOST_ROWS = 20
 def informed_verdict(d: InformedDesign) -> str:
     """What the motion does for the least known parameters."""
     count, every = int(d.targets.sum()), len(d.prior.base)
-    which = f"the {count} least known of {every} parameters" if count < every else "all parameters"
+    which = f"the {count} worst of {every} parameters" if count < every else "all parameters"
     said = (
         f"Drive this motion{', or a plain one' * d.hardly}: it cuts the uncertainty of {which} to "
         f"{percent(d.shrinks(d.after))} (a plain one so long: {percent(d.shrinks(d.with_plain))})."

@@ -27,8 +27,7 @@ def own_headline(found: OwnCheck) -> str:
     text = f"Of {hidden} hidden from the diagnosis in turn it found {again} again"
     if not judged:
         return f"{text}; without any of them these data show no gap."
-    closed = f"{sum(judged)} of the {len(judged)} that leave a gap here were closed as far as known"
-    return f"{text}; {closed}."
+    return f"{text}; {sum(judged)} of the {len(judged)} gaps that they leave here were closed."
 
 
 def report_of_calibration(found: Calibration) -> Report:

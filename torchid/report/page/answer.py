@@ -44,7 +44,7 @@ def first_steps(answer: Answer) -> list[str]:
         return sum(shares) if add else max(shares, default=0.0)
 
     for remedy, causes in sorted(same.items(), key=lambda pair: -worth(pair[1])):
-        if steps and worth(causes) != 0 and worth(causes) < LEAST_STEP:
+        if steps and worth(causes) != 0 and worth(causes) < LEAST_STEP:  # 0 where none is known
             continue
         what = listed(dict.fromkeys(common_name(c, causes) for c in causes))
         if causes[0].effect != "link_inertia":  # whose name has its place
