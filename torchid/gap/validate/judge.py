@@ -88,16 +88,15 @@ def check(
         judged: the log that is held out; None to leave out each fold.
         before: of this explanation on the folds, where that is known.
     """
-    data, folds, settings = problem.data, problem.folds, problem.settings
+    data, folds, seed = problem.data, problem.folds, problem.settings.seed
     repeats, fitted_first = problem.repeats, problem.fitted_first
     solution = found.solution
     columns = found.question.candidates.columns.at(solution.model)
     band = data.band
     if before is None:
         base = refitted(columns.at(solution.start), data, solution.wanted)
-        question, left = found.question, solution.left
-        least = question.least(question.mean(found.empty.losses))
-        noise = noise_of(columns, solution.start, left, data, repeats, least, settings.seed)
+        least = found.question.least(found.question.mean(found.empty.losses))
+        noise = noise_of(columns, solution.start, solution.left, data, repeats, least, seed)
     else:
         base, noise = before.base, before.measured
     if judged is None:
@@ -123,8 +122,8 @@ def check(
         base,
         noise,
         measured,
-        closing(shown, noise.floor, settings.seed, noise.unpredicted, motions),
-        closing(again_shown, noise.floor, settings.seed, motions=motions),
+        closing(shown, noise.floor, seed, noise.unpredicted, motions),
+        closing(again_shown, noise.floor, seed, motions=motions),
     )
 
 
