@@ -26,8 +26,8 @@ from torchid.typing import Float, Tensor
 AT_ONCE = 2_000_000
 """Values that are evaluated and filtered at a time: bounds the memory of long logs."""
 
-KEPT = 25_000_000
-"""Values of columns that are kept for the next time (0.2 GB), the first that are evaluated: of a
+KEPT = 12_500_000
+"""Values of columns that are kept for the next time (0.1 GB), the first that are evaluated: of a
 long log the others are evaluated again."""
 
 ROUNDING = 1e-11

@@ -77,8 +77,10 @@ class Normal:
     def apart(self, blocks: np.ndarray) -> "Normal":
         """Some blocks one after the other, then all others together."""
         every = self.gram, self.cross, self.square, self.count
-        parts = (np.concatenate([x[blocks], [x.sum(0) - x[blocks].sum(0)]]) for x in every)
-        return Normal(*parts, self.spread)
+        gram, cross, square, count = (
+            np.concatenate([x[blocks], [x.sum(0) - x[blocks].sum(0)]]) for x in every
+        )
+        return Normal(gram, cross, square, count, self.spread)
 
     def mean_square(self, x: np.ndarray) -> np.ndarray:
         """(B, n) mean squared error of parameters x (P,)."""

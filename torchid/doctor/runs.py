@@ -103,7 +103,7 @@ def _left_out(parts: Normal, cone: np.ndarray, own: _Own) -> tuple[np.ndarray, n
     """(B,) sums of the joints' log errors of a run's parts under the fit to all else, and the
     (B, columns) values of its own parameters."""
     wide, bodies = _with_own(parts, cone, own)
-    fits = [fit(wide.without(k), bodies).x for k in _RUN]
+    fits = [fit(wide.without(k), bodies).x for k in range(PIECES)]
     losses = [loss_of(wide, np.array([k]), x) for k, x in enumerate(fits)]
     return np.array(losses), np.stack(fits)[:, parts.gram.shape[-1] :]
 

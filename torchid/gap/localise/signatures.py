@@ -255,7 +255,7 @@ def surrogates(x: Float[Tensor, "n N"], width: int, draws: Draws) -> Float[Tenso
     then the logarithm of the share of the FEW largest. Random phases, the same on all joints."""
     size = torch.fft.rfft(x).abs().float()  # enough for a null distribution, and twice as fast
     out = []
-    for some in draws.order.chunk(8):  # a part of the draws at a time, for their memory
+    for some in draws.order.chunk(32):  # a part of the draws at a time, for their memory
         turn = 2 * math.pi * torch.rand(
             len(some), 1, size.shape[-1], generator=draws.generator, dtype=size.dtype
         )  # fmt: skip
