@@ -10,7 +10,8 @@ start, of each joint
 - `plain`: kp, damping, armature and dry friction, and one delay (25 numbers of six joints),
 - `offset`: an offset of the command, too (31),
 - `all`: what a servo of torchid's has and an MJCF can say: a velocity gain and a largest torque,
-  and of the command a scale, a delay and a filter of first order (60).
+  and of the command a scale, a delay and a filter of first order (60); begun where `offset` ended,
+  if that was fitted: from the maker's numbers it ends far away.
 
 `default` has MuJoCo's dry friction, which creeps; `firm` has solimpfriction .9999, with which a
 joint that is stuck stays there. Masses are the file's, and the simulator, its derivatives and its
@@ -238,13 +239,29 @@ def chunks_of(data: PositionData, seconds: float | None, most: int | None = None
 
 
 def fit(
-    robot: Robot, training: PositionData, fitted: Sequence[str], windows: int, *, firm: bool
+    robot: Robot,
+    training: PositionData,
+    fitted: Sequence[str],
+    windows: int,
+    *,
+    firm: bool,
+    start: Any = None,
 ) -> tuple[mujoco.MjSpec, Any]:
-    """The arm and the numbers that sysid finds; prints how far it came."""
+    """The arm and the numbers that sysid finds; prints how far it came.
+
+    Args:
+        robot, training, fitted: whose joints, on which motions, and what of each joint.
+        windows: that the fit looks at.
+        firm: whether a joint that is stuck stays there.
+        start: numbers that another fit has found.
+    """
     with tempfile.TemporaryDirectory() as folder:
         spec = spec_of(training.robot, Path(folder), training.tracks.dt / STEPS, firm=firm)
     function = residual(spec, training, chunks_of(training, WINDOW_S, windows))
     begun, sums = parameters(robot.joint_names, fitted), []
+    for name, p in begun.items():
+        joint, _, what = name.rpartition(" ")
+        p.value = np.array([value(start or {}, joint, what, float(p.value[0]))])
     with redirect_stdout(io.StringIO()):
         found, _ = sysid.optimize(
             begun, function, verbose=False, max_iters=ITERATIONS, eps=1e-4, xtol=1e-3,
@@ -272,6 +289,7 @@ def main() -> None:
     if given.held_out:
         others = list(read_log(given.held_out).trajectories())
         folds, parts, given.only = [1] * len(parts) + [0] * len(others), parts + others, [0]
+    found = dict[tuple[str, str, int], Any]()
     for friction, which in product(given.friction.split(","), given.fitted.split(",")):
         squares = {seconds: list[Tensor]() for seconds in JUDGED}
         busy, taken = 0.0, given.only or range(given.folds)
@@ -281,13 +299,15 @@ def main() -> None:
                 [p for p, f in zip(parts, folds, strict=True) if (f == fold) == k] for k in (0, 1)
             ]
             training, kept = (prepare(robot, Log.concatenate(some)) for some in sides)
-            spec, found = fit(
-                robot, training, FITTED[which], given.windows, firm=friction == "firm"
-            )
+            spec, best = fit(
+                robot, training, FITTED[which], given.windows, firm=friction == "firm",
+                start=found.get((friction, "offset", fold)) if which == "all" else None,
+            )  # fmt: skip
+            found[friction, which, fold] = best
             busy += time.process_time() - begun
             for seconds, rows in squares.items():
                 for chunk in chunks_of(kept, seconds):
-                    error = residual(spec, kept, [chunk])(found.as_vector(), found)[0][0]
+                    error = residual(spec, kept, [chunk])(best.as_vector(), best)[0][0]
                     radians = torch.from_numpy(error.reshape(-1, robot.n)) / kept.scale
                     rows.append(torch.cat([torch.zeros(1, robot.n), radians]).square())
         print_all(f"{friction} {which}", squares, busy / len(taken))
