@@ -6,14 +6,15 @@ import torch
 from scipy.signal import butter, sosfiltfilt
 
 from tests.excitation.test_excitation import random_arm
-from torchid.design.motion import Measurement, measurements
+from torchid.design.motion import MOVING, Measurement, direction, measurements
 from torchid.dynamics.regressor import regressor
+from torchid.effects.motion import Motion
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import rows as rows_module
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
-from torchid.identification.rows import Layout, RowSource, layout
+from torchid.identification.rows import Layout, RowSource, at_ease, layout
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -46,7 +47,7 @@ def dense_rows(m: Measurement, columns: Layout) -> tuple[torch.Tensor, torch.Ten
     """Brute force: [A] (I, n, B) in the layout's order and tau (I, n), filtered by scipy."""
     robot, base = columns.robot, columns.base
     smooth = regressor(robot, *m.motion.state)
-    jumping = m.motion.direction
+    jumping = at_ease(m.motion, m.moving).direction
     own = []
     for effect in columns.effects:
         wide = torch.zeros(m.samples, robot.n, dtype=torch.float64)
@@ -264,3 +265,31 @@ def test_smooth_columns_at_fewer_samples_are_those_at_all(monkeypatch):
         assert a.shape == b.shape
         size = b.double().abs().amax(0)
         assert bool(((a.double() - b.double()).abs() <= 1e-7 * size + 1e-12).all())
+
+
+@pytest.mark.parametrize("acceleration", [0.02, 0.5, 30.0])
+def test_a_joint_that_turns_keeps_its_direction(acceleration):
+    """However slowly: only its speed's course tells a turn from a rest."""
+    t = torch.linspace(-1.0, 1.0, 4001, dtype=torch.float64).unsqueeze(1)
+    turning = Motion(0 * t, acceleration * t, 0 * t, direction=torch.sign(t))
+    assert torch.equal(at_ease(turning, MOVING).direction, turning.direction)
+
+
+def test_a_joint_that_stops_has_no_direction_until_it_moves_on():
+    """It runs, stands still beside a joint that does not, and runs back, with noise of velocity."""
+    t = torch.arange(4000, dtype=torch.float64) / 1000
+    stops = (t - 1).clamp(max=0) + (t - 3).clamp(min=0)
+    noise = 1e-3 * torch.randn(4000, generator=torch.Generator().manual_seed(0)).double()
+    dq = torch.stack([0.2 * (stops + noise), torch.cos(t)], 1)
+    before = Motion(
+        torch.zeros_like(dq), dq, dq, direction=direction(dq, torch.tensor([0.02, 0.0]))
+    )
+    for one in (before, before._replace(direction=-before.direction)):
+        after, moving = at_ease(one, MOVING).direction, dq.abs() > MOVING
+        assert torch.equal(after[:, 1], one.direction[:, 1])
+        assert torch.equal(after[:, 0], one.direction[:, 0] * moving[:, 0])
+
+
+def test_without_a_direction_the_log_is_taken_at_its_word():
+    still = Motion(*torch.zeros(3, 5, 2, dtype=torch.float64))
+    assert at_ease(still, MOVING) is still

@@ -21,7 +21,7 @@ from torchid.effects.registry import effect_from_record, fitted_kind
 from torchid.effects.written import name_and_pairs
 from torchid.errors import TorchidError
 from torchid.identification.least_squares import Fit
-from torchid.identification.rows import RowSource, own_columns, sampled
+from torchid.identification.rows import RowSource, at_ease, own_columns, sampled
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -193,7 +193,7 @@ class _Rows:
 
     def __init__(self, source: RowSource, found: Fit, measured: Sequence[Measurement]):
         self.measured = measured
-        self.motions = [m.whole for m in measured]
+        self.motions = [at_ease(m.whole, m.moving) for m in measured]
         self._weight = (found.robust * found.whitening.diagonal()).T
         n, size = self._weight.shape[0], source.layout.size
         blocks = list(source)

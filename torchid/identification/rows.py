@@ -18,7 +18,7 @@ from functools import cached_property
 
 import torch
 
-from torchid.design.motion import Measurement, moves
+from torchid.design.motion import Measurement, moves, resting_speed
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import TorqueOffset, ViscousFriction
@@ -35,6 +35,11 @@ PIECE = 16384
 
 SMOOTH = 20.0
 """Sampling rate of smooth columns at least, in cut-offs."""
+
+RESTS = 1 / 12
+"""Mean square of a joint's speed while it does not move, in squares of the speed at which it does,
+below which it rests: half the speed of a joint that turns, which passes evenly through all speeds
+there and has a third."""
 
 LINEAR = (ViscousFriction, RotorInertia, TorqueOffset)
 """Effects whose columns are as smooth as the motion."""
@@ -128,11 +133,13 @@ class RowBlock:
 
     Attributes:
         augmented: per joint (m, columns of its row + 1), the filtered torque behind the columns.
+        moving: (m, n) rows whose own joint moves.
         keep: (m, n) rows that take part in the fit.
         instant: (m,) running number of the instant over all trajectories.
     """
 
     augmented: tuple[Float[Tensor, "m _"], ...]
+    moving: Bool[Tensor, "m n"]
     keep: Bool[Tensor, "m n"]
     instant: Int[Tensor, " m"]
 
@@ -148,10 +155,8 @@ class RowBlock:
 
     def residual(self, layout: Layout, x: Float[Tensor, " B"]) -> Float[Tensor, "m n"]:
         """tau minus the rows times x, x in the layout's order."""
-        fitted = [
-            a @ x[list(columns)] for a, columns in zip(self.matrices, layout.columns, strict=True)
-        ]
-        return self.tau - torch.stack(fitted, -1)
+        each = zip(self.augmented, layout.columns, strict=True)
+        return torch.stack([a[:, -1] - a[:, :-1] @ x[list(own)] for a, own in each], -1)
 
 
 class RowSource:
@@ -212,6 +217,27 @@ class RowSource:
     def interval(self) -> list[float]:
         """Seconds between instants, per trajectory."""
         return [_step(m) / m.rate for m in self.measured]
+
+
+def at_ease(motion: Motion, moving: Float[Tensor, " n"] | float) -> Motion:
+    """A motion whose joints have no direction where they rest. Friction can hold any torque there
+    up to its own, either way, and none is the middle. A joint that turns keeps its direction, for
+    it stands still for an instant only.
+
+    Args:
+        motion: of a trajectory.
+        moving: speed above which joints of its log move (`moving_speed`).
+    """
+    if motion.direction is None:
+        return motion
+    pace = (motion.dq / resting_speed(motion, moving)).square()
+    slow = (pace <= 1).long()
+    # Stays of each joint, numbered; those in motion between them are none.
+    stay = (slow.diff(dim=0, prepend=torch.zeros_like(slow[:1])) == 1).cumsum(0) * slow
+    sums = pace.new_zeros(2, int(stay.max()) + 1, pace.shape[1])
+    sums.scatter_add_(1, stay.expand(2, *stay.shape), torch.stack([pace, torch.ones_like(pace)]))
+    rests = (sums[0] < RESTS * sums[1]).gather(0, stay) & (slow > 0)
+    return motion._replace(direction=motion.direction * ~rests)
 
 
 def _filter(m: Measurement) -> ZeroPhaseFilter | None:
@@ -287,7 +313,9 @@ def _blocks(
         motions = [m.motion.part(own) for own in reach]
         thin = [motion.every(d) for motion, (_, _, d) in zip(motions, group, strict=True)]
         sharp = [
-            _sharp_columns(motion, m.tau[own], layout, {e: x[own] for e, x in whole.items()})
+            _sharp_columns(
+                at_ease(motion, m.moving), m.tau[own], layout, {e: x[own] for e, x in whole.items()}
+            )
             for motion, own in zip(motions, reach, strict=True)
         ]
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.
@@ -300,14 +328,14 @@ def _blocks(
             for smooth in _smooth_columns(thin, layout)
         ]
         for (a, b, _), own, motion, *augmented in zip(group, reach, motions, *rows, strict=True):
-            keep = moves(motion.part(slice(a - own.start, b - own.start, step)), m.moving).cpu()
+            moving = moves(motion.part(slice(a - own.start, b - own.start, step)), m.moving).cpu()
+            keep = moving.clone() if moving_only else torch.ones_like(moving)
             # Nothing rubs on a base that nothing holds: its rows count at rest, too.
             keep[:, list(layout.robot.free)] = True
-            keep = keep if moving_only else torch.ones_like(keep)
             keep[:, silent] = False
             instant = torch.arange(len(keep)) + first_instant
             first_instant += len(keep)
-            yield RowBlock(tuple(x.T for x in augmented), keep, instant)
+            yield RowBlock(tuple(x.T for x in augmented), moving, keep, instant)
 
 
 def sampled(

@@ -12,6 +12,7 @@ from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.model import model_torque
 from torchid.identification.record import Errors
+from torchid.identification.rows import at_ease
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Samples, Tensor
@@ -102,7 +103,7 @@ def predict(
         progress(0, m.samples - 2 * m.edge)
     for rows in pieces(m, m.edge, m.samples - m.edge, effects):
         lo, hi = max(0, rows.start - tail), min(m.samples, rows.stop + tail)
-        motion, tau = m.motion.part(slice(lo, hi)), m.tau[lo:hi]
+        motion, tau = at_ease(m.motion.part(slice(lo, hi)), m.moving), m.tau[lo:hi]
         raw = model_torque(robot, base, effects, values.to(tau), motion)
         inside = slice(rows.start - lo, rows.stop - lo)
         measured, predicted = tau[inside], raw[inside]
