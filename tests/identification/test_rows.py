@@ -1,12 +1,14 @@
 """The rows of the least-squares problem against a dense regressor and scipy's filter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from scipy.signal import butter, sosfiltfilt
 
 from tests.excitation.test_excitation import random_arm
-from torchid.design.motion import MOVING, Measurement, direction, measurements
+from torchid.design.motion import Measurement, direction, measurements
 from torchid.dynamics.regressor import regressor
 from torchid.effects.motion import Motion
 from torchid.effects.registry import on_every_joint
@@ -47,7 +49,7 @@ def dense_rows(m: Measurement, columns: Layout) -> tuple[torch.Tensor, torch.Ten
     """Brute force: [A] (I, n, B) in the layout's order and tau (I, n), filtered by scipy."""
     robot, base = columns.robot, columns.base
     smooth = regressor(robot, *m.motion.state)
-    jumping = at_ease(m.motion, m.moving).direction
+    jumping = at_ease(m).motion.direction
     own = []
     for effect in columns.effects:
         wide = torch.zeros(m.samples, robot.n, dtype=torch.float64)
@@ -267,29 +269,37 @@ def test_smooth_columns_at_fewer_samples_are_those_at_all(monkeypatch):
         assert bool(((a.double() - b.double()).abs() <= 1e-7 * size + 1e-12).all())
 
 
+def moving_at(*dq: torch.Tensor) -> Measurement:
+    """A trajectory of joints of these velocities, with the sign of the last one that was not 0."""
+    rates = torch.stack(dq, 1)
+    motion = Motion(0 * rates, rates, 0 * rates, direction=direction(rates, torch.zeros(len(dq))))
+    t = torch.arange(len(rates), dtype=torch.float64) / 1000
+    return Measurement("drawn", 1000.0, None, t, motion, 0 * rates)
+
+
 @pytest.mark.parametrize("acceleration", [0.02, 0.5, 30.0])
 def test_a_joint_that_turns_keeps_its_direction(acceleration):
     """However slowly: only its speed's course tells a turn from a rest."""
-    t = torch.linspace(-1.0, 1.0, 4001, dtype=torch.float64).unsqueeze(1)
-    turning = Motion(0 * t, acceleration * t, 0 * t, direction=torch.sign(t))
-    assert torch.equal(at_ease(turning, MOVING).direction, turning.direction)
+    turning = moving_at(acceleration * torch.linspace(-1.0, 1.0, 4001, dtype=torch.float64))
+    assert torch.equal(at_ease(turning).motion.direction, turning.motion.sign)
 
 
-def test_a_joint_that_stops_has_no_direction_until_it_moves_on():
-    """It runs, stands still beside a joint that does not, and runs back, with noise of velocity."""
-    t = torch.arange(4000, dtype=torch.float64) / 1000
-    stops = (t - 1).clamp(max=0) + (t - 3).clamp(min=0)
-    noise = 1e-3 * torch.randn(4000, generator=torch.Generator().manual_seed(0)).double()
-    dq = torch.stack([0.2 * (stops + noise), torch.cos(t)], 1)
-    before = Motion(
-        torch.zeros_like(dq), dq, dq, direction=direction(dq, torch.tensor([0.02, 0.0]))
-    )
-    for one in (before, before._replace(direction=-before.direction)):
-        after, moving = at_ease(one, MOVING).direction, dq.abs() > MOVING
-        assert torch.equal(after[:, 1], one.direction[:, 1])
-        assert torch.equal(after[:, 0], one.direction[:, 0] * moving[:, 0])
+def test_a_joint_that_stops_has_half_the_direction_from_which_it_came():
+    """It stands still, runs, stops beside a joint that does not, and runs on, with noise of
+    velocity; and the same the other way."""
+    t = torch.arange(6000, dtype=torch.float64) / 1000
+    runs = 0.2 * ((t > 1) & (t < 2)) + 0.1 * (t > 4)
+    noise = 1e-3 * torch.randn(6000, generator=torch.Generator().manual_seed(0)).double()
+    for way in (1.0, -1.0):
+        before = moving_at(way * (runs + noise), torch.cos(t))
+        after = at_ease(before).motion.direction
+        expected = torch.where(runs > 0, 1.0, 0.5 * (t > 1)) * way
+        assert torch.equal(after[:, 0], expected)
+        assert torch.equal(after[:, 1], before.motion.sign[:, 1])
+        assert torch.equal(at_ease(at_ease(before)).motion.direction, after)
 
 
 def test_without_a_direction_the_log_is_taken_at_its_word():
-    still = Motion(*torch.zeros(3, 5, 2, dtype=torch.float64))
-    assert at_ease(still, MOVING) is still
+    still = moving_at(torch.zeros(5, dtype=torch.float64))
+    still = replace(still, motion=still.motion._replace(direction=None))
+    assert at_ease(still) is still

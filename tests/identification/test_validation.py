@@ -53,7 +53,7 @@ def test_the_model_torque_is_that_of_any_full_set_with_these_base_parameters(rob
 def by_hand(cutoff: float | None) -> dict[str, np.ndarray]:
     measured, predicted, raw, raw_predicted, moving = [], [], [], [], []
     for m in measurements(log(), cutoff):
-        model = model_torque(ROBOT, BASE, KINDS, values(), at_ease(m.motion, m.moving)).numpy()
+        model = model_torque(ROBOT, BASE, KINDS, values(), at_ease(m).motion).numpy()
         tau = m.tau.numpy()
         middle = slice(m.edge, m.samples - m.edge)
         filtered = [tau, model]

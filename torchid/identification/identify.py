@@ -352,7 +352,7 @@ def _with_shapes(
     known = Training.of(training.layout.robot, part.log, given, training.settings)
     source = known.source(measured)
     found = fit(source, non_negative=known.non_negative)
-    best = search_shapes(unknown, source, found, measured, cutoff)
+    best = search_shapes(unknown, source, found, cutoff)
     chosen = {a.effect: effect for a, effect in zip(unknown, best, strict=True)}
     effects, said = [], []
     for a in asked:

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import torch
 
-from torchid.design.motion import Measurement, moves, resting_speed
+from torchid.design.motion import Measurement, direction, moves, resting_speed
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import TorqueOffset, ViscousFriction
@@ -177,7 +177,7 @@ class RowSource:
         moving_only: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ):
-        self.measured = tuple(measured)
+        self.measured = tuple(map(at_ease, measured))
         self.layout = layout
         self.moving_only = moving_only
         self._progress = progress
@@ -219,25 +219,24 @@ class RowSource:
         return [_step(m) / m.rate for m in self.measured]
 
 
-def at_ease(motion: Motion, moving: Float[Tensor, " n"] | float) -> Motion:
-    """A motion whose joints have no direction where they rest. Friction can hold any torque there
-    up to its own, either way, and none is the middle. A joint that turns keeps its direction, for
-    it stands still for an instant only.
-
-    Args:
-        motion: of a trajectory.
-        moving: speed above which joints of its log move (`moving_speed`).
-    """
-    if motion.direction is None:
-        return motion
-    pace = (motion.dq / resting_speed(motion, moving)).square()
-    slow = (pace <= 1).long()
-    # Stays of each joint, numbered; those in motion between them are none.
-    stay = (slow.diff(dim=0, prepend=torch.zeros_like(slow[:1])) == 1).cumsum(0) * slow
-    sums = pace.new_zeros(2, int(stay.max()) + 1, pace.shape[1])
-    sums.scatter_add_(1, stay.expand(2, *stay.shape), torch.stack([pace, torch.ones_like(pace)]))
-    rests = (sums[0] < RESTS * sums[1]).gather(0, stay) & (slow > 0)
-    return motion._replace(direction=motion.direction * ~rests)
+def at_ease(m: Measurement) -> Measurement:
+    """A trajectory whose joints have half a direction, that from which they came, where they rest,
+    and none before they first moved. Friction that stopped a joint can hold on, and can relax to
+    nothing: half of it is the middle. A joint that turns keeps its direction, for it stands still
+    for an instant only. Directions of a motion in parts stay as they are."""
+    motion = m.motion
+    if not isinstance(motion, Motion) or motion.direction is None:
+        return m
+    limit = resting_speed(motion, m.moving)
+    found, came = motion.sign.clone(), direction(motion.dq, limit)
+    for j, speed in enumerate(motion.dq.unbind(-1)):
+        pace = (speed / limit[j]).square()
+        slow = pace <= 1
+        # Stays, numbered from 1; what is in motion between them is none.
+        stay = (slow & slow.diff(prepend=slow.new_zeros(1))).cumsum(0) * slow
+        rests = slow & (stay.bincount(pace) < RESTS * stay.bincount())[stay]
+        found[rests, j] = 0.5 * came[rests, j].to(found)
+    return replace(m, motion=motion._replace(direction=found))
 
 
 def _filter(m: Measurement) -> ZeroPhaseFilter | None:
@@ -313,9 +312,7 @@ def _blocks(
         motions = [m.motion.part(own) for own in reach]
         thin = [motion.every(d) for motion, (_, _, d) in zip(motions, group, strict=True)]
         sharp = [
-            _sharp_columns(
-                at_ease(motion, m.moving), m.tau[own], layout, {e: x[own] for e, x in whole.items()}
-            )
+            _sharp_columns(motion, m.tau[own], layout, {e: x[own] for e, x in whole.items()})
             for motion, own in zip(motions, reach, strict=True)
         ]
         # Row by row: of many joints the columns of all rows would not all fit, with their spectra.

@@ -92,7 +92,7 @@ def predict(
         robot, base, effects, values: as in `model_torque`.
         progress: called with (samples done, samples in all).
     """
-    m = measurement
+    m = at_ease(measurement)
     low_pass = None if m.cutoff is None else ZeroPhaseFilter(m.rate, m.cutoff)
     tail = 0 if low_pass is None else low_pass.tail
     step = 1 if isinstance(m.motion, Motion) else -(-m.samples * robot.n // MOST_SHOWN)
@@ -103,7 +103,7 @@ def predict(
         progress(0, m.samples - 2 * m.edge)
     for rows in pieces(m, m.edge, m.samples - m.edge, effects):
         lo, hi = max(0, rows.start - tail), min(m.samples, rows.stop + tail)
-        motion, tau = at_ease(m.motion.part(slice(lo, hi)), m.moving), m.tau[lo:hi]
+        motion, tau = m.motion.part(slice(lo, hi)), m.tau[lo:hi]
         raw = model_torque(robot, base, effects, values.to(tau), motion)
         inside = slice(rows.start - lo, rows.stop - lo)
         measured, predicted = tau[inside], raw[inside]
