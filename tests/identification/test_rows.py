@@ -1,19 +1,22 @@
 """The rows of the least-squares problem against a dense regressor and scipy's filter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from scipy.signal import butter, sosfiltfilt
 
 from tests.excitation.test_excitation import random_arm
-from torchid.design.motion import Measurement, measurements
+from torchid.design.motion import Measurement, direction, measurements
 from torchid.dynamics.regressor import regressor
+from torchid.effects.motion import Motion
 from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification import rows as rows_module
 from torchid.identification.base_parameters import base_parameters, stacked_regressor
-from torchid.identification.rows import Layout, RowSource, layout
+from torchid.identification.rows import Layout, RowSource, at_ease, layout
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
@@ -46,7 +49,7 @@ def dense_rows(m: Measurement, columns: Layout) -> tuple[torch.Tensor, torch.Ten
     """Brute force: [A] (I, n, B) in the layout's order and tau (I, n), filtered by scipy."""
     robot, base = columns.robot, columns.base
     smooth = regressor(robot, *m.motion.state)
-    jumping = m.motion.direction
+    jumping = at_ease(m).motion.direction
     own = []
     for effect in columns.effects:
         wide = torch.zeros(m.samples, robot.n, dtype=torch.float64)
@@ -264,3 +267,39 @@ def test_smooth_columns_at_fewer_samples_are_those_at_all(monkeypatch):
         assert a.shape == b.shape
         size = b.double().abs().amax(0)
         assert bool(((a.double() - b.double()).abs() <= 1e-7 * size + 1e-12).all())
+
+
+def moving_at(*dq: torch.Tensor) -> Measurement:
+    """A trajectory of joints of these velocities, with the sign of the last one that was not 0."""
+    rates = torch.stack(dq, 1)
+    motion = Motion(0 * rates, rates, 0 * rates, direction=direction(rates, torch.zeros(len(dq))))
+    t = torch.arange(len(rates), dtype=torch.float64) / 1000
+    return Measurement("drawn", 1000.0, None, t, motion, 0 * rates)
+
+
+@pytest.mark.parametrize("acceleration", [0.02, 0.5, 30.0])
+def test_a_joint_that_turns_keeps_its_direction(acceleration):
+    """However slowly: only its speed's course tells a turn from a rest."""
+    turning = moving_at(acceleration * torch.linspace(-1.0, 1.0, 4001, dtype=torch.float64))
+    assert torch.equal(at_ease(turning).motion.direction, turning.motion.sign)
+
+
+def test_a_joint_that_stops_has_half_the_direction_from_which_it_came():
+    """It stands still, runs, stops beside a joint that does not, and runs on, with noise of
+    velocity; and the same the other way."""
+    t = torch.arange(6000, dtype=torch.float64) / 1000
+    runs = 0.2 * ((t > 1) & (t < 2)) + 0.1 * (t > 4)
+    noise = 1e-3 * torch.randn(6000, generator=torch.Generator().manual_seed(0)).double()
+    for way in (1.0, -1.0):
+        before = moving_at(way * (runs + noise), torch.cos(t))
+        after = at_ease(before).motion.direction
+        expected = torch.where(runs > 0, 1.0, 0.5 * (t > 1)) * way
+        assert torch.equal(after[:, 0], expected)
+        assert torch.equal(after[:, 1], before.motion.sign[:, 1])
+        assert torch.equal(at_ease(at_ease(before)).motion.direction, after)
+
+
+def test_without_a_direction_the_log_is_taken_at_its_word():
+    still = moving_at(torch.zeros(5, dtype=torch.float64))
+    still = replace(still, motion=still.motion._replace(direction=None))
+    assert at_ease(still) is still

@@ -157,7 +157,7 @@ def test_a_higher_reversal_speed_must_be_worth_a_hundredth(monkeypatch):
          [1.3, 1.4, 1.0]], dtype=torch.float64,
     )  # fmt: skip
     given = iter(scores)
-    monkeypatch.setattr(tuning, "_cross_validated", lambda *_, **__: next(given))
+    monkeypatch.setattr(tuning, "_filtered_errors", lambda *_, **__: next(given))
     log = log_of(ROBOT, COARSE)
     found = choose_reversal(training(log), 8.0) / fast_speed(measurements(log, 8.0))
     expected = [tuning.REVERSALS[k] for k in (1, 0, 5)]

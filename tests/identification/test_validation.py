@@ -13,6 +13,7 @@ from torchid.effects.registry import on_every_joint
 from torchid.excitation.synthetic import HonestNoise
 from torchid.identification.base_parameters import base_parameters, random_states, stacked_regressor
 from torchid.identification.model import model_torque
+from torchid.identification.rows import at_ease
 from torchid.identification.validation import errors, predict
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
@@ -52,7 +53,7 @@ def test_the_model_torque_is_that_of_any_full_set_with_these_base_parameters(rob
 def by_hand(cutoff: float | None) -> dict[str, np.ndarray]:
     measured, predicted, raw, raw_predicted, moving = [], [], [], [], []
     for m in measurements(log(), cutoff):
-        model = model_torque(ROBOT, BASE, KINDS, values(), m.motion).numpy()
+        model = model_torque(ROBOT, BASE, KINDS, values(), at_ease(m).motion).numpy()
         tau = m.tau.numpy()
         middle = slice(m.edge, m.samples - m.edge)
         filtered = [tau, model]

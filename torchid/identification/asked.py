@@ -14,7 +14,6 @@ from itertools import product
 
 import torch
 
-from torchid.design.motion import Measurement
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.names import PLACES
 from torchid.effects.registry import effect_from_record, fitted_kind
@@ -127,7 +126,6 @@ def search_shapes(
     unknown: Sequence[Asked],
     source: RowSource,
     found: Fit,
-    measured: Sequence[Measurement],
     cutoff: float | None,
 ) -> list[Effect | None]:
     """Effects with the shapes that leave least of the residual; None for one that these motions
@@ -141,13 +139,13 @@ def search_shapes(
 
     Args:
         unknown: with shapes to search.
-        source: rows of all that is fitted beside them.
+        source: rows of all that is fitted beside them, of trajectories with t and the torque of
+            the fit.
         found: its fit, whose weights are used.
-        measured: trajectories of the rows, with t, and the torque of the fit.
         cutoff: [Hz] of the rows.
     """
-    rows = _Rows(source, found, measured)
-    band = cutoff if cutoff is not None else 0.2 * measured[0].rate
+    rows = _Rows(source, found)
+    band = cutoff if cutoff is not None else 0.2 * source.measured[0].rate
     best: list[Effect | None] = [None] * len(unknown)
     users = Counter(j for a in unknown for j in a.effect.joints)
     again = [k for k, a in enumerate(unknown) if any(users[j] > 1 for j in a.effect.joints)]
@@ -191,9 +189,9 @@ def _tried(
 class _Rows:
     """Weighted rows of a fit, joint by joint, and columns beside them."""
 
-    def __init__(self, source: RowSource, found: Fit, measured: Sequence[Measurement]):
-        self.measured = measured
-        self.motions = [m.whole for m in measured]
+    def __init__(self, source: RowSource, found: Fit):
+        self.measured = source.measured
+        self.motions = [m.whole for m in source.measured]
         self._weight = (found.robust * found.whitening.diagonal()).T
         n, size = self._weight.shape[0], source.layout.size
         blocks = list(source)

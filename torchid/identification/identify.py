@@ -22,7 +22,7 @@ from torchid.identification.least_squares import Fit, fit
 from torchid.identification.logs import prepared, refuse_repeated
 from torchid.identification.record import FittedRows
 from torchid.identification.result import Identification, findings
-from torchid.identification.rows import Layout, RowSource
+from torchid.identification.rows import Layout
 from torchid.identification.settings import Settings
 from torchid.identification.statistics import Uncertainty, jackknife
 from torchid.identification.tuning import (
@@ -350,9 +350,9 @@ def _with_shapes(
     measured = _refitted_load(part, measured)
     given = [a.effect for a in asked if not a.searched]
     known = Training.of(training.layout.robot, part.log, given, training.settings)
-    source = RowSource(measured, known.layout, moving_only=known.moving_only)
+    source = known.source(measured)
     found = fit(source, non_negative=known.non_negative)
-    best = search_shapes(unknown, source, found, measured, cutoff)
+    best = search_shapes(unknown, source, found, cutoff)
     chosen = {a.effect: effect for a, effect in zip(unknown, best, strict=True)}
     effects, said = [], []
     for a in asked:

@@ -210,7 +210,8 @@ def factor(
         for block in source:
             weight = robust[block.instant] * scale
             for i, rows in enumerate(block.augmented):
-                factors[i].add(rows * weight[:, i : i + 1])
+                seen = weight[:, i] != 0
+                factors[i].add(rows[seen] * weight[seen, i : i + 1])
         return combined_factor([f.factor() for f in factors], columns, size)
     total = TriangularFactor(size + 1)
     for block in source:

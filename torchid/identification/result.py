@@ -252,7 +252,7 @@ def _of_the_errors(result: Identification) -> list[str]:
             + ", ".join(useless)
             + ": check the robot, the order and signs of the joints, the gains"
         )
-    # Rows at rest that were fitted as if Coulomb friction were fully there.
+    # Rows at rest that were fitted as if half of the friction were there.
     shares = enumerate(result.fit.standstill_fraction.tolist(), start=1)
     still = [f"{j} ({100 * share:.0f} %)" for j, share in shares if share > MUCH_STANDSTILL]
     if still and result.settings.rows == "all" and any(e.jumps for e in result.effects):

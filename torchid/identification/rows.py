@@ -18,7 +18,7 @@ from functools import cached_property
 
 import torch
 
-from torchid.design.motion import Measurement, moves
+from torchid.design.motion import Measurement, direction, moves, resting_speed
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import TorqueOffset, ViscousFriction
@@ -35,6 +35,11 @@ PIECE = 16384
 
 SMOOTH = 20.0
 """Sampling rate of smooth columns at least, in cut-offs."""
+
+RESTS = 1 / 12
+"""Mean square of a joint's speed while it does not move, in squares of the speed at which it does,
+below which it rests: half the speed of a joint that turns, which passes evenly through all speeds
+there and has a third."""
 
 LINEAR = (ViscousFriction, RotorInertia, TorqueOffset)
 """Effects whose columns are as smooth as the motion."""
@@ -128,11 +133,13 @@ class RowBlock:
 
     Attributes:
         augmented: per joint (m, columns of its row + 1), the filtered torque behind the columns.
+        moving: (m, n) rows whose own joint moves.
         keep: (m, n) rows that take part in the fit.
         instant: (m,) running number of the instant over all trajectories.
     """
 
     augmented: tuple[Float[Tensor, "m _"], ...]
+    moving: Bool[Tensor, "m n"]
     keep: Bool[Tensor, "m n"]
     instant: Int[Tensor, " m"]
 
@@ -148,10 +155,8 @@ class RowBlock:
 
     def residual(self, layout: Layout, x: Float[Tensor, " B"]) -> Float[Tensor, "m n"]:
         """tau minus the rows times x, x in the layout's order."""
-        fitted = [
-            a @ x[list(columns)] for a, columns in zip(self.matrices, layout.columns, strict=True)
-        ]
-        return self.tau - torch.stack(fitted, -1)
+        each = zip(self.augmented, layout.columns, strict=True)
+        return torch.stack([a[:, -1] - a[:, :-1] @ x[list(own)] for a, own in each], -1)
 
 
 class RowSource:
@@ -172,7 +177,7 @@ class RowSource:
         moving_only: bool = False,
         progress: Callable[[int, int], None] | None = None,
     ):
-        self.measured = tuple(measured)
+        self.measured = tuple(map(at_ease, measured))
         self.layout = layout
         self.moving_only = moving_only
         self._progress = progress
@@ -212,6 +217,26 @@ class RowSource:
     def interval(self) -> list[float]:
         """Seconds between instants, per trajectory."""
         return [_step(m) / m.rate for m in self.measured]
+
+
+def at_ease(m: Measurement) -> Measurement:
+    """A trajectory whose joints have half a direction, that from which they came, where they rest,
+    and none before they first moved. Friction that stopped a joint can hold on, and can relax to
+    nothing: half of it is the middle. A joint that turns keeps its direction, for it stands still
+    for an instant only. Directions of a motion in parts stay as they are."""
+    motion = m.motion
+    if not isinstance(motion, Motion) or motion.direction is None:
+        return m
+    limit = resting_speed(motion, m.moving)
+    found, came = motion.sign.clone(), direction(motion.dq, limit)
+    for j, speed in enumerate(motion.dq.unbind(-1)):
+        pace = (speed / limit[j]).square()
+        slow = pace <= 1
+        # Stays, numbered from 1; what is in motion between them is none.
+        stay = (slow & slow.diff(prepend=slow.new_zeros(1))).cumsum(0) * slow
+        rests = slow & (stay.bincount(pace) < RESTS * stay.bincount())[stay]
+        found[rests, j] = 0.5 * came[rests, j].to(found)
+    return replace(m, motion=motion._replace(direction=found))
 
 
 def _filter(m: Measurement) -> ZeroPhaseFilter | None:
@@ -300,14 +325,14 @@ def _blocks(
             for smooth in _smooth_columns(thin, layout)
         ]
         for (a, b, _), own, motion, *augmented in zip(group, reach, motions, *rows, strict=True):
-            keep = moves(motion.part(slice(a - own.start, b - own.start, step)), m.moving).cpu()
+            moving = moves(motion.part(slice(a - own.start, b - own.start, step)), m.moving).cpu()
+            keep = moving.clone() if moving_only else torch.ones_like(moving)
             # Nothing rubs on a base that nothing holds: its rows count at rest, too.
             keep[:, list(layout.robot.free)] = True
-            keep = keep if moving_only else torch.ones_like(keep)
             keep[:, silent] = False
             instant = torch.arange(len(keep)) + first_instant
             first_instant += len(keep)
-            yield RowBlock(tuple(x.T for x in augmented), keep, instant)
+            yield RowBlock(tuple(x.T for x in augmented), moving, keep, instant)
 
 
 def sampled(

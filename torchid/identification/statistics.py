@@ -42,18 +42,18 @@ def _in_coordinates(
     source: RowSource, piece: RowBlock, kept: Tensor, fit: Fit, free: Tensor, inverse: Tensor
 ) -> Iterator[tuple[Float[Tensor, " m"], Float[Tensor, "m F"]]]:
     """Per joint the whitened residual of its rows, and its rows times the inverse."""
-    scale = fit.whitening.diagonal()
-    mixes = bool((fit.whitening - torch.diag(scale)).abs().max() > 0)
-    if mixes or source.layout.robot.is_serial:
-        for rows in whitened_rows(source, piece, kept, fit.whitening):
-            yield rows[:, -1] - rows[:, :-1] @ fit.x, rows[:, free] @ inverse
-        return
-    # A joint of a tree has few columns of all, and only these are multiplied.
+    scale, columns = fit.whitening.diagonal(), source.layout.columns
+    if torch.equal(fit.whitening, torch.diag(scale)):
+        weight = scale * piece.keep * kept[piece.instant]
+        weighted = [a * w.unsqueeze(-1) for a, w in zip(piece.augmented, weight.T, strict=True)]
+    else:
+        weighted = whitened_rows(source, piece, kept, fit.whitening)
+        columns = (tuple(range(source.layout.size)),) * len(weighted)
+    # A joint may have few columns of all, and only these are multiplied.
     place = torch.full((source.layout.size,), -1)
     place[free] = torch.arange(len(free))
-    for i, (own, columns) in enumerate(zip(piece.augmented, source.layout.columns, strict=True)):
-        weight = scale[i] * piece.keep[:, i] * kept[piece.instant, i]
-        rows, at = own * weight.unsqueeze(-1), torch.tensor(columns, dtype=torch.long)
+    for rows, own in zip(weighted, columns, strict=True):
+        at = torch.tensor(own, dtype=torch.long)
         there = place[at] >= 0
         z = rows[:, :-1][:, there] @ inverse[place[at[there]]]
         yield rows[:, -1] - rows[:, :-1] @ fit.x[at], z

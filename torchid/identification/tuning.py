@@ -11,7 +11,7 @@ biases it. A low reversal speed takes velocity noise for motion; a high one dela
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -24,9 +24,8 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.identification.least_squares import Fit, factor, fit, solve, stacked_factor
 from torchid.identification.model import model_torque
 from torchid.identification.record import CutoffRecord
-from torchid.identification.rows import Layout, RowSource, layout
+from torchid.identification.rows import Layout, RowBlock, RowSource, layout
 from torchid.identification.settings import Settings
-from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
@@ -85,23 +84,14 @@ class Training:
         return cls(log, layout(robot, base, effects), settings)
 
     @property
-    def moving_only(self) -> bool:
-        """Whether rows at rest are left out of the fit."""
-        return self.settings.rows == "moving"
-
-    @property
     def non_negative(self) -> Bool[Tensor, " B"]:
         """(B,) coefficients bounded at zero."""
         return self.layout.non_negative & (self.settings.signs == "bounded")
 
     def source(self, measured: Sequence[Measurement], report: Report = None) -> RowSource:
         """The rows of filtered trajectories."""
-        return RowSource(
-            measured,
-            self.layout,
-            moving_only=self.moving_only,
-            progress=report,
-        )
+        moving = self.settings.rows == "moving"
+        return RowSource(measured, self.layout, moving_only=moving, progress=report)
 
     def fit(self, source: RowSource, left_out: Bool[Tensor, " B"] | None = None) -> Fit:
         """As the settings say, without some coefficients."""
@@ -137,7 +127,7 @@ def choose_cutoff(training: Training, report: Report = None) -> CutoffChoice:
             # A log may be too short for it.
             with suppress(LogError):
                 measured = measurements(log, cutoff, REVERSALS[2] * speed)
-                score = float(_cross_validated(training, measured, filtered=False).nanmean())
+                score = float(_unfiltered_errors(training, measured).nanmean())
         scores.append(score)
         if report is not None:
             report(k + 1, len(tried))
@@ -153,11 +143,13 @@ def choose_reversal(
     if not any(effect.jumps for effect in training.layout.effects):
         return torch.zeros(training.log.n, dtype=torch.float64)
     log = shortened(training.log)
-    speed = fast_speed(measurements(log, cutoff))
-    errors = []
+    measured = measurements(log, cutoff)
+    speed, errors = fast_speed(measured), []
+    # Rows differ by the direction alone: one fit weighs them for all candidates.
+    weights = fit(training.source(measured), non_negative=training.non_negative)
     for k, fraction in enumerate(REVERSALS):
-        measured = measurements(log, cutoff, fraction * speed)
-        errors.append(_cross_validated(training, measured, filtered=True))
+        source = training.source(measurements(log, cutoff, fraction * speed))
+        errors.append(_filtered_errors(training, source, weights))
         if report is not None:
             report(k + 1, len(REVERSALS))
     table = torch.stack(errors)
@@ -185,47 +177,55 @@ def shortened(log: Log) -> Log:
     return log.select(keep)
 
 
-def _cross_validated(
-    training: Training, measured: list[Measurement], *, filtered: bool
-) -> Float[Tensor, " n"]:
-    """Relative error of the stretches left out, per joint [%]."""
-    source = RowSource(measured, training.layout, moving_only=training.moving_only)
-    whole = fit(source, non_negative=training.non_negative)
-    # Factor of each stretch, with the weights of the whole.
-    lengths = [b - a for a, b in itertools.pairwise(source.boundaries)]
-    fold = torch.cat([torch.arange(length) * FOLDS // max(1, length) for length in lengths])
-    folds = [
-        factor(source, whole.robust * (fold == k).unsqueeze(-1), whole.whitening)
-        for k in range(FOLDS)
-    ]
-    error = torch.zeros(training.layout.robot.n, dtype=torch.float64)
-    energy = torch.zeros_like(error)
-    for k in range(FOLDS):
-        others = stacked_factor([f * LEFT_OUT if j == k else f for j, f in enumerate(folds)])
-        x, _ = solve(others, training.non_negative, whole.undetermined)
-        for m in measured:
-            e, t = _left_out(m, training.layout, x, k, filtered)
-            error, energy = error + e, energy + t
+def _unfiltered_errors(training: Training, measured: list[Measurement]) -> Float[Tensor, " n"]:
+    """Relative error of the unfiltered torque of the stretches left out, per joint [%]."""
+    source = training.source(measured)
+    found = _left_out(training, source, fit(source, non_negative=training.non_negative))
+    pairs = ((k, x, m) for k, (_, x) in enumerate(found) for m in measured)
+    return _relative(training, (_stretch(m, training.layout, x, k) for k, x, m in pairs))
+
+
+def _filtered_errors(training: Training, source: RowSource, weights: Fit) -> Float[Tensor, " n"]:
+    """Relative error of the rows' torque of the stretches left out, per joint [%]."""
+    found = _left_out(training, source, weights)
+
+    def judged(block: RowBlock) -> tuple[Tensor, Tensor]:
+        parts = [own[block.instant] * block.residual(training.layout, x) for own, x in found]
+        return sum(parts) * block.moving, block.tau * block.moving
+
+    return _relative(training, map(judged, source))
+
+
+def _relative(training: Training, judged: Iterable[tuple[Tensor, Tensor]]) -> Float[Tensor, " n"]:
+    """Of errors and torques (_, n), piece by piece, per joint [%]."""
+    squares = [torch.stack([x.square().sum(0).cpu() for x in pair]) for pair in judged]
+    error, energy = torch.stack(squares).sum(0)
     relative = 100 * (error / energy).sqrt()
     # Of coordinates that no motor drives an error is relative to nothing.
     relative[list(training.layout.robot.free)] = torch.nan
     return relative
 
 
-def _left_out(
-    m: Measurement, layout: Layout, x: Tensor, k: int, filtered: bool
-) -> tuple[Tensor, Tensor]:
-    """Squared error and squared torque (n,) of stretch k of a trajectory, moving rows."""
-    values = x[layout.back].to(m.tau)
-    tail = m.edge if filtered else 0
+def _left_out(training: Training, source: RowSource, weights: Fit) -> list[tuple[Tensor, Tensor]]:
+    """Instants (I, 1) of each stretch, and coefficients (B,) of the fit without it, with the
+    weights of a fit of all rows."""
+    lengths = [b - a for a, b in itertools.pairwise(source.boundaries)]
+    fold = torch.cat([torch.arange(length) * FOLDS // max(1, length) for length in lengths])
+    stretches = [(fold == k).unsqueeze(-1) for k in range(FOLDS)]
+    factors = [factor(source, weights.robust * own, weights.whitening) for own in stretches]
+    out = []
+    for k, own in enumerate(stretches):
+        others = stacked_factor([f * LEFT_OUT if j == k else f for j, f in enumerate(factors)])
+        out.append((own, solve(others, training.non_negative, weights.undetermined)[0]))
+    return out
+
+
+def _stretch(m: Measurement, layout: Layout, x: Tensor, k: int) -> tuple[Tensor, Tensor]:
+    """Error and unfiltered torque (_, n) of stretch k of a trajectory, 0 of joints at rest."""
     inside = m.samples - 2 * m.edge
-    start, stop = m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS
-    part = slice(start - tail, stop + tail)
-    predicted = model_torque(layout.robot, layout.base, layout.effects, values, m.motion.part(part))
-    measured, moving = m.tau[part], moves(m.motion.part(slice(start, stop)), m.moving)
-    if filtered and m.cutoff is not None:
-        low_pass = ZeroPhaseFilter(m.rate, m.cutoff)
-        predicted, measured = (low_pass.apply(y.T).T for y in (predicted, measured))
-    judged = slice(tail, tail + stop - start)
-    error = (measured - predicted)[judged] * moving
-    return error.square().sum(0).cpu(), (measured[judged] * moving).square().sum(0).cpu()
+    part = slice(m.edge + inside * k // FOLDS, m.edge + inside * (k + 1) // FOLDS)
+    motion, tau = m.motion.part(part), m.tau[part]
+    values = x[layout.back].to(tau)
+    error = tau - model_torque(layout.robot, layout.base, layout.effects, values, motion)
+    moving = moves(motion, m.moving)
+    return error * moving, tau * moving

@@ -12,6 +12,7 @@ from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.model import model_torque
 from torchid.identification.record import Errors
+from torchid.identification.rows import at_ease
 from torchid.log.filtering import ZeroPhaseFilter, extended
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Samples, Tensor
@@ -91,7 +92,7 @@ def predict(
         robot, base, effects, values: as in `model_torque`.
         progress: called with (samples done, samples in all).
     """
-    m = measurement
+    m = at_ease(measurement)
     low_pass = None if m.cutoff is None else ZeroPhaseFilter(m.rate, m.cutoff)
     tail = 0 if low_pass is None else low_pass.tail
     step = 1 if isinstance(m.motion, Motion) else -(-m.samples * robot.n // MOST_SHOWN)
