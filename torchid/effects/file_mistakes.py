@@ -54,7 +54,7 @@ class FileMistake(LinkEffect):
         change = self.change(arm)[self.link(arm)].to(motion.q)
         return super().torque_columns(motion, robot) @ change.unsqueeze(-1)
 
-    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+    def plant(self, robot: Robot, values: Sequence[float] | Tensor) -> Robot:
         """The arm with the link's parameters changed."""
         pi = robot.require_parameters(f"the effect {self.name}").pi
         return robot.with_parameters(InertialParameters(pi + values[0] * self.change(robot)))

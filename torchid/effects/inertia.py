@@ -62,12 +62,10 @@ class BodyEffect(ModelEffect):
             start = stop
         return out
 
-    def plant(self, robot: Robot, values: Sequence[float]) -> Robot:
+    def plant(self, robot: Robot, values: Sequence[float] | Tensor) -> Robot:
         """The arm with the parameters added to its link's."""
         pi = robot.require_parameters(f"the effect {self.name}").pi.clone()
-        pi[self.link(robot)] += torch.stack(
-            [torch.as_tensor(v, dtype=pi.dtype, device=pi.device) for v in values]
-        )
+        pi[self.link(robot)] += torch.as_tensor(values, dtype=pi.dtype, device=pi.device)
         return robot.with_parameters(InertialParameters(pi))
 
 

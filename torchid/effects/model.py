@@ -147,7 +147,7 @@ class ArmModel(Module):
         name and joint (`viscous_friction 2`). Arguments and errors are those of `torque`."""
         motion = self._motion(q, dq, ddq, t)
         states = self._states(motion, state)
-        valued = [(e, list(self.values[name])) for name, e in self._kinds.items()]
+        valued = [(e, self.values[name]) for name, e in self._kinds.items()]
         out = {RIGID: newton_euler.inverse_dynamics(self.nominal, *motion.state)}
         for loaded in (False, True):
             here = motion._replace(torque=_sum(out)) if loaded else motion

@@ -55,12 +55,10 @@ class Wave(JointEffect):
     def finer(
         self, motions: Sequence[Motion], level: int, cutoff: float
     ) -> Float[Tensor, "S 1"] | None:
-        """Wave numbers around its own, within half a period over the travel, a third of it, ..,
-        none below the grid's first."""
+        """Wave numbers around its own, within half a period over the travel, a third of it, ..."""
         grid = self.grid(motions, self.joint, cutoff).flatten()
         step = float(grid[1] - grid[0]) if len(grid) > 1 else 1.0
-        near = self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
-        return near.clamp(min=float(grid[0])) if len(grid) else near
+        return self.shapes[0].around(self.k, level, 1.0, step).unsqueeze(-1)
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
@@ -228,6 +226,15 @@ class PositionDependentFriction(Wave):
         "of the PUMA 560's gears)"
     )
     example = Example((0.8, 0.5), "position", {"k": 3.0})
+
+    def finer(
+        self, motions: Sequence[Motion], level: int, cutoff: float
+    ) -> Float[Tensor, "S 1"] | None:
+        """As of waves, none with less than a period over the travel."""
+        near, grid = super().finer(motions, level, cutoff), self.grid(motions, self.joint, cutoff)
+        return (
+            near if near is None or not len(grid) else near.clamp(min=min(self.k, float(grid[0])))
+        )
 
     @classmethod
     def carrier(cls, motion: Motion) -> Joints:

@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
+from torch import Tensor
+
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects import (
     backlash,
@@ -144,7 +146,9 @@ def nominal_others(robot: Robot) -> list[Valued]:
     return [pair for pair in nominal_effects(robot) if pair[0].name not in COLUMN_KINDS]
 
 
-def arm_of(effect: Effect, robot: Robot, effects: Sequence[Valued]) -> Robot:
+def arm_of(
+    effect: Effect, robot: Robot, effects: Iterable[tuple[Effect, Sequence[float] | Tensor]]
+) -> Robot:
     """The arm that an effect is of: what turns, moves or differentiates the model does so to the
     bodies among the effects as well; a body is added to the robot itself."""
     for other, values in () if effect.inertial else effects:
