@@ -46,13 +46,15 @@ class Draws:
         which: (D,) number of the explanation that each is of.
         pi: (D, n, 10) bodies, all of them feasible.
         effects: per draw, with coefficients drawn and physical signs.
-        nearest: how many of them belonged to no body and have the nearest ones.
+        nearest: how many draws belong to no body and have the nearest one; then none is drawn anew.
+        anew: share of the points that no body has, and that were drawn anew.
     """
 
     which: Int[Tensor, " D"]
     pi: Float[Tensor, "D n 10"]
     effects: tuple[tuple[Valued, ...], ...]
     nearest: int
+    anew: float
 
 
 @dataclass(frozen=True, eq=False)

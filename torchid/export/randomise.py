@@ -7,12 +7,12 @@ Quasi-random normal points (Sobol, scipy) make a few hundred draws tell the ends
 
 Bodies: torque knows base parameters only. Each draw's change of them is carried by the smallest
 relative change of the bodies (the entropic metric's second derivative at the centre, see
-torchid.extraction.entropic); a draw that is no body has the bodies that are nearest in torque and
-to the centre's.
+torchid.extraction.entropic), and draws that no body has are drawn anew: the distribution is the one
+that the log leaves, given that the arm exists. Where hardly any draw is a body, each has the bodies
+that are nearest in torque and to the robot as given.
 """
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import torch
@@ -51,6 +51,9 @@ from torchid.robot.model import JointType, Robot
 from torchid.typing import Bool, Float, Int, Tensor
 
 BODY_FIELDS = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"}
+
+CANDIDATES = 8
+"""Times as many points as draws are asked for, where bodies have to be found among them."""
 
 NEARLY = 1e-3
 """Share of what is left of the log's torque that the centre's bodies may add to it."""
@@ -123,29 +126,40 @@ def _drawn(source: DrawnFrom, draws: int, seed: int) -> tuple[Robot, Draws, list
     said = near.words(centres[0], parts[0].pi)
     weights = torch.tensor([fit.weight for fit in source.fits], dtype=torch.float64)
     # Points of a low-discrepancy sequence: one number says which explanation, the others how far.
-    points = sobol_points(draws, 1 + max(part.root.shape[1] for part in parts), seed)
+    count = draws * (CANDIDATES if any(bool(part.body.any()) for part in parts) else 1)
+    points = sobol_points(count, 1 + max(part.root.shape[1] for part in parts), seed)
     z, first = normal_points(points[:, 1:]), torch.from_numpy(points[:, 0].copy())
     which = torch.searchsorted(weights.cumsum(0) / weights.sum(), first).clamp(max=len(parts) - 1)
-    pi = torch.empty(draws, given.n, PARAMETERS_PER_LINK, dtype=torch.float64)
-    effects, nearest = dict[int, tuple[Valued, ...]](), 0
-    for k, (part, centre) in enumerate(zip(parts, centres, strict=True)):
-        mine = (which == k).nonzero().flatten()
+    steps: dict[int, Tensor] = {}
+    pi = torch.empty(count, given.n, PARAMETERS_PER_LINK, dtype=torch.float64)
+    for k, part in enumerate(parts):
+        mine = which == k
         moved = z[mine, : part.root.shape[1]] @ part.root.T
         change = torch.zeros(len(moved), pi[0].numel(), dtype=torch.float64)
         change.index_add_(1, part.at_body, moved[:, part.body])
-        bodies, about = near.moved(centre, change), near.about(centre)
-        none = ~_are_bodies(bodies, INSIDE * usual_bodies(centre))
-        for d in none.nonzero().flatten().tolist():
-            bodies[d] = about.to(bodies[d])
-        pi[mine], nearest = bodies, nearest + int(none.sum())
-        effects |= zip(mine.tolist(), map(part.effects, moved), strict=True)
-    if nearest > 0.05 * draws:
+        pi[mine] = near.moved(centres[k], change)
+        steps |= dict(zip(mine.nonzero().flatten().tolist(), moved, strict=True))
+    # The first that are bodies; where too few are, of all draws the nearest bodies.
+    are = _are_bodies(pi, INSIDE * usual_bodies(centres[0]))
+    kept, none = are.nonzero().flatten()[:draws], list[int]()
+    if len(kept) < draws:
+        kept = torch.arange(draws)
+        none = (~are[:draws]).nonzero().flatten().tolist()
+        for d in none:
+            pi[d] = near.to(pi[d])
+    anew = 0.0 if none else 1 - float(are[: int(kept.max()) + 1].double().mean())
+    effects = tuple(parts[int(which[d])].effects(steps[d]) for d in kept.tolist())
+    if none or anew > 0.05:
         said.append(
-            f"{nearest} of {draws} draws were no bodies, and have those nearest in torque: ranges "
-            "of single fields hold mostly impossible robots, the draws do not"
+            f"{len(none)} of {draws} draws of base parameters belong to no body, and have the "
+            "bodies nearest in torque and to the robot as given"
+            if none
+            else f"{100 * anew:.0f} % of the points that the log allows are no bodies and were "
+            "drawn anew"
         )
+        said[-1] += ": ranges of single fields hold mostly impossible robots, the draws do not"
     robot = given.with_parameters(InertialParameters(centres[0]))
-    every = Draws(which, pi, tuple(effects[d] for d in range(draws)), nearest)
+    every = Draws(which[kept], pi[kept], effects, len(none), anew)
     return replace(robot, effects=records(parts[0].effects(None))), every, said
 
 
@@ -254,13 +268,6 @@ class _Near:
                 self.room = self.room.bodies_alone
                 self.last = nearest_bodies(asked, self.room, spent=NEARLY)
         return nearest_bodies(asked, self.room, near=self.last).pi
-
-    def about(self, centre: Float[Tensor, "n 10"]) -> "_Near":
-        """The same, near to a centre, which draws leave no more than they have to."""
-        other = copy(self)
-        other.room = replace(self.room, nominal=centre, small=usual_bodies(centre)).bodies_alone
-        other.last = None
-        return other
 
     def centre(self, pi: Float[Tensor, " P"]) -> Float[Tensor, "n 10"]:
         """Bodies with just the torque of parameters, or those nearest to it."""
