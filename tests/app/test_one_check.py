@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from tests.gap.small_logs import ROBOT, Recording, logged
+from tests.marks import quick_first
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.readers import write_log
 
@@ -66,7 +67,7 @@ def arguments(name, fault, logs):
     return [places.get(word, word) for word in COMMANDS[name].split()]
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("fault", quick_first(FAULTS, 1))
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_wrong_log_stops_every_command_with_the_same_words(
     command, logs, tmp_path, monkeypatch, name, fault

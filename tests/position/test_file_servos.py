@@ -123,6 +123,7 @@ def test_gravity_that_a_controller_takes_out(light):
     assert (weighing_otherwise(data).robot.compensated is None) != (true.compensated is None)
 
 
+@pytest.mark.slow
 def test_torques_that_nothing_anchors_stand_beside_the_files_gain():
     """All torques of a balanced joint are three times the file's, which no motion shows, and its
     damping is twice that."""
