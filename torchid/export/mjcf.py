@@ -37,7 +37,7 @@ from torchid.typing import Tensor
 
 _JOINTS = ("joint", "freejoint")
 _UNNAMED = re.compile(r"body_(\d+)_*")
-SHARP = "0.999 0.999 0.001"
+SHARP = "0.9999 0.9999 0.001"
 """solimpfriction of joints with dry friction. By MuJoCo's own, which gives way in proportion to
 the inertia, a light wrist has its friction only at speeds that it hardly reaches."""
 _DEGREES = 57.29577951308232
