@@ -338,9 +338,7 @@ def comparable(question: Question, fit: Fitted, other: Fitted) -> tuple[Fitted, 
     n = effective_samples(question, *((fit, other) if less else (other, fit)))
 
     def again(f: Fitted) -> Fitted:
-        # Refused beside noise of another size; or further from what is known of the model than so
-        # many samples would take it.
-        if f.evidence == -math.inf or question.known:
+        if f.evidence == -math.inf:  # refused, beside noise of another size
             weight = n / f.losses.clamp(min=1e-300)
             return fit_terms(question, question.own(f), n, weight, 1)
         return with_evidence(question, replace(f, effective=n))
