@@ -21,7 +21,6 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from torchid.design.gram import DETERMINED, Equations, Solved, inverse_root
-from torchid.errors import TorchidError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, pseudo_inertia_basis
 from torchid.typing import Float, Int, Tensor
 
@@ -230,14 +229,12 @@ def _stay_bodies(
     x: Float[Tensor, "G K"],
 ) -> None:
     """Put what leaves no bodies at the minimum among coefficients that do, beside normal equations
-    that hold all that is known.
-
-    Raises:
-        TorchidError: a conic program has no solution.
-    """
+    that hold all that is known."""
     for asked in _no_bodies(bodies, x):
         each = [b for b in map(bodies.__getitem__, asked) if b is not None]
-        x[asked] = torch.from_numpy(_minima(each, matrix[asked].numpy(), right[asked].numpy()))
+        there = torch.from_numpy(_minima(each, matrix[asked].numpy(), right[asked].numpy()))
+        # Where others hold all of a body's columns the program has no digits, and x stays.
+        x[asked] = torch.where(there.isfinite().all(1, keepdim=True), there, x[asked])
 
 
 def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -327,9 +324,12 @@ def _by_newton(
 
 
 def nearest_to(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The minimum over the coefficients of bodies, body by body."""
+    """The minimum over the coefficients of bodies, body by body; NaN where the program has no
+    digits, or no end."""
     # Columns of length one, and every body in units of the small one that it holds.
     size = np.sqrt(matrix.diagonal().clip(min=1e-12 * matrix.diagonal().max()))
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all() and size.min() > 0):
+        return np.full_like(right, np.nan)
     base = (bodies.base - bodies.least).unsqueeze(1) @ bodies.triangles
     solver = clarabel.DefaultSolver(
         _sparse(np.triu(2 * matrix / size / size[:, None]).T),
@@ -339,11 +339,14 @@ def nearest_to(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndar
         [clarabel.PSDTriangleConeT(4)] * len(bodies.at),
         _settings(),
     )
-    found = solver.solve()
+    try:
+        found = solver.solve()
+    except BaseException as error:  # a panic of Rust code is no Exception
+        if type(error).__name__ != "PanicException":
+            raise
+        return np.full_like(right, np.nan)
     x = np.array(found.x)
-    if "Solved" not in str(found.status) and not np.isfinite(x).all():
-        raise TorchidError("no bodies were found that fit.", got=str(found.status))
-    return x / size
+    return x / size if "Solved" in str(found.status) else np.full_like(right, np.nan)
 
 
 def _sparse(columns: np.ndarray) -> sparse.csc_matrix:
