@@ -8,12 +8,14 @@ from torchid.design.bodies import (
     Bodies,
     Prior,
     _by_newton,
+    _stay_bodies,
     links_near,
     nearest_to,
     some_body,
     together,
     usual_bodies,
 )
+from torchid.errors import TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.typing import Tensor
 
@@ -151,3 +153,15 @@ def test_a_direction_that_nothing_shows_is_left_to_interior_points() -> None:
     found = Prior(torch.zeros(10).double(), load).solve(matrix, right).x
     margin = InertialParameters((USUAL[-1] + found).unsqueeze(0)).consistency_margin()
     assert bool((margin > 0).all())
+
+
+@pytest.mark.parametrize("value", [0.0, float("nan")])
+def test_a_program_without_digits_ends_and_moves_nothing(value: float) -> None:
+    """A load whose columns others hold wholly, or equations that have overflown."""
+    load = some_body(USUAL[-1])
+    matrix, x = torch.full((1, 10, 10), value).double(), -5 * USUAL[-1:].double()
+    with pytest.raises(TorchidError, match="no bodies were found that fit"):
+        nearest_to(load, matrix[0].numpy(), x[0].numpy())
+    before = x.clone()
+    _stay_bodies([load], matrix, x, x)
+    assert torch.equal(x, before)

@@ -11,6 +11,7 @@ projection (Pang and Qi 1993), or, where it does not settle, one by one by inter
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
@@ -21,6 +22,7 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from torchid.design.gram import DETERMINED, Equations, Solved, inverse_root
+from torchid.errors import TorchidError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, pseudo_inertia_basis
 from torchid.typing import Float, Int, Tensor
 
@@ -238,7 +240,8 @@ def _stay_bodies(
 
 
 def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Of each of G problems the minimum (G, K) over coefficients that leave its bodies so."""
+    """Of each of G problems the minimum (G, K) over coefficients that leave its bodies so; NaN of
+    one whose program has none."""
     # Beside the bodies' own coefficients all others follow.
     at = torch.stack([b.at for b in each]).flatten(1).numpy()
     g = np.arange(len(each))[:, None]
@@ -251,8 +254,10 @@ def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np
     alone = matrix[row, at[:, :, None], at[:, None]] - held.transpose(0, 2, 1) @ held
     pull = right[g, at] - _times(held.transpose(0, 2, 1), _times(inner, right[g, rest], True))
     own, settled = _by_newton(each, alone, pull)
+    own[~settled] = np.nan
     for k in (~settled).nonzero()[0].tolist():
-        own[k] = nearest_to(each[k], alone[k], pull[k])
+        with suppress(TorchidError):
+            own[k] = nearest_to(each[k], alone[k], pull[k])
     x = np.zeros_like(right)
     x[g, at] = own
     x[g, rest] = _times(inner, _times(inner, right[g, rest] - _times(across, own), True))
@@ -324,12 +329,15 @@ def _by_newton(
 
 
 def nearest_to(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The minimum over the coefficients of bodies, body by body; NaN where the program has no
-    digits, or no end."""
+    """The minimum over the coefficients of bodies, body by body.
+
+    Raises:
+        TorchidError: the program has no digits, or no end.
+    """
     # Columns of length one, and every body in units of the small one that it holds.
     size = np.sqrt(matrix.diagonal().clip(min=1e-12 * matrix.diagonal().max()))
     if not (np.isfinite(matrix).all() and np.isfinite(right).all() and size.min() > 0):
-        return np.full_like(right, np.nan)
+        raise TorchidError("no bodies were found that fit.", got="numbers without digits")
     base = (bodies.base - bodies.least).unsqueeze(1) @ bodies.triangles
     solver = clarabel.DefaultSolver(
         _sparse(np.triu(2 * matrix / size / size[:, None]).T),
@@ -344,9 +352,10 @@ def nearest_to(bodies: Bodies, matrix: np.ndarray, right: np.ndarray) -> np.ndar
     except BaseException as error:  # a panic of Rust code is no Exception
         if type(error).__name__ != "PanicException":
             raise
-        return np.full_like(right, np.nan)
-    x = np.array(found.x)
-    return x / size if "Solved" in str(found.status) else np.full_like(right, np.nan)
+        raise TorchidError("no bodies were found that fit.", got=str(error)) from error
+    if "Solved" not in str(found.status):
+        raise TorchidError("no bodies were found that fit.", got=str(found.status))
+    return np.array(found.x) / size
 
 
 def _sparse(columns: np.ndarray) -> sparse.csc_matrix:

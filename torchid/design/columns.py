@@ -17,7 +17,7 @@ from torchid.design.segments import Samples, Segment
 from torchid.dynamics.regressor import regressor_chunks
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.effects.registry import Valued, arm_of, model_torque, nominal_effects
+from torchid.effects.registry import Valued, carrying, model_torque, nominal_effects
 from torchid.effects.transient import Contact
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
@@ -51,9 +51,18 @@ class Model:
         """A robot with the effects that it has."""
         return cls(robot, tuple(nominal_effects(robot)))
 
+    @property
+    def bodies(self) -> list[Valued]:
+        """Those of the effects that are bodies."""
+        return [p for p in self.effects if p[0].inertial]
+
+    @cached_property
+    def _carrying(self) -> Robot:
+        return carrying(self.robot, self.effects)
+
     def arm_of(self, effect: Effect) -> Robot:
-        """The arm that an effect is of: with the bodies among the effects."""
-        return arm_of(effect, self.robot, self.effects)
+        """The arm that an effect is of: a body's the robot, any other's with the bodies."""
+        return self.robot if effect.inertial else self._carrying
 
     def torque(
         self, segment: Segment, samples: Samples, load: Float[Tensor, "T n"] | None = None
@@ -112,11 +121,8 @@ class Columns:
         are; so does what no load enters, as long as the parameters do or it is one joint's alone,
         which knows no parameters."""
         new = Columns(model, self.samples)
-        old, bodies = (
-            self.model,
-            [[p for p in m.effects if p[0].inertial] for m in (self.model, model)],
-        )
-        new._rigid, same = self._rigid, model.robot is old.robot and bodies[0] == bodies[1]
+        new._rigid = self._rigid
+        same = model.robot is self.model.robot and model.bodies == self.model.bodies
         for key, (kind, place, columns) in self._kept.items():
             if "torque" not in kind.needs and (same or issubclass(kind, JointEffect)):
                 new._keep(key, kind, place, columns)

@@ -16,7 +16,7 @@ from torch.nn import Module, Parameter, ParameterDict
 from torchid.dynamics import forward, newton_euler
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.names import PLACES
-from torchid.effects.registry import arm_of, nominal_effects
+from torchid.effects.registry import carrying, nominal_effects
 from torchid.errors import TorchidError
 from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import face
@@ -147,7 +147,9 @@ class ArmModel(Module):
         name and joint (`viscous_friction 2`). Arguments and errors are those of `torque`."""
         motion = self._motion(q, dq, ddq, t)
         states = self._states(motion, state)
-        valued = [(e, self.values[name]) for name, e in self._kinds.items()]
+        loaded_arm = carrying(
+            self.nominal, [(e, self.values[name]) for name, e in self._kinds.items()]
+        )
         out = {RIGID: newton_euler.inverse_dynamics(self.nominal, *motion.state)}
         for loaded in (False, True):
             here = motion._replace(torque=_sum(out)) if loaded else motion
@@ -156,7 +158,7 @@ class ArmModel(Module):
                     effect,
                     here,
                     self.values[name],
-                    arm_of(effect, self.nominal, valued),
+                    self.nominal if effect.inertial else loaded_arm,
                     states.get(name),
                 )
                 for name, effect in self._kinds.items()

@@ -146,14 +146,12 @@ def nominal_others(robot: Robot) -> list[Valued]:
     return [pair for pair in nominal_effects(robot) if pair[0].name not in COLUMN_KINDS]
 
 
-def arm_of(
-    effect: Effect, robot: Robot, effects: Iterable[tuple[Effect, Sequence[float] | Tensor]]
-) -> Robot:
-    """The arm that an effect is of: what turns, moves or differentiates the model does so to the
-    bodies among the effects as well; a body is added to the robot itself."""
-    for other, values in () if effect.inertial else effects:
-        if isinstance(other, BodyEffect):
-            robot = other.plant(robot, values)
+def carrying(robot: Robot, effects: Iterable[tuple[Effect, Sequence[float] | Tensor]]) -> Robot:
+    """The arm with the bodies among its effects: what turns, moves or differentiates the model does
+    so to these as well. A body itself is added to the robot as it is."""
+    for effect, values in effects:
+        if isinstance(effect, BodyEffect):
+            robot = effect.plant(robot, values)
     return robot
 
 
@@ -171,16 +169,16 @@ def effect_torque(
     """
     first, later = in_rounds(effects)
     tau = motion.q * 0.0
+    # Bodies alone need no parameters of the robot.
+    alone = all(effect.inertial for effect, _ in effects)
+    arm = robot if alone else carrying(robot, effects)
     for effect, values in first:
-        tau = tau + effect.all_torques(motion, values, arm_of(effect, robot, effects))
+        tau = tau + effect.all_torques(motion, values, robot if effect.inertial else arm)
     if not later:
         return tau
     assert rigid is not None, "effects that depend on the torque need the rigid body's"
     loaded = motion._replace(torque=rigid + tau)
-    return tau + sum(
-        effect.all_torques(loaded, values, arm_of(effect, robot, effects))
-        for effect, values in later
-    )
+    return tau + sum(effect.all_torques(loaded, values, arm) for effect, values in later)
 
 
 def in_rounds(effects: Sequence[Valued]) -> tuple[list[Valued], list[Valued]]:

@@ -8,7 +8,7 @@ import torch
 
 from torchid.effects.base import Effect, Motion
 from torchid.effects.inertia import BodyEffect
-from torchid.effects.registry import Valued, model_torque, nominal_effects
+from torchid.effects.registry import Valued, carrying, model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.identification.values import BaseValues
 from torchid.position.model import ServoArm
@@ -113,9 +113,7 @@ def folded_robot(robot: Robot) -> Robot:
     others = [(e, values) for e, values in pairs if not isinstance(e, BodyEffect)]
     if not bodies or any("robot" in effect.needs for effect, _ in others):
         return robot
-    for effect, values in bodies:
-        robot = effect.plant(robot, values)
-    return replace(robot, effects=records(others))
+    return replace(carrying(robot, bodies), effects=records(others))
 
 
 def records(pairs: Sequence[Valued]) -> tuple[Mapping[str, Any], ...]:

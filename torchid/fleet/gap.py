@@ -70,7 +70,7 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
             task.log, task.model, Store(task.place), question, compute
         )
     except LogError as error:
-        return LogAnswer.about(task.log, "refused", " ".join(str(error).split())), {}
+        return LogAnswer.unopened(task.log, error), {}
     if "refused" in words:
         return LogAnswer.about(task.log, "refused", words["refused"], sha256=digest, key=key), {}
     gap, doubts = words["gap"], words["doubts"]

@@ -67,6 +67,11 @@ class LogAnswer(LogRow, frozen=True, kw_only=True):
         """Of a log whose task gave nothing."""
         return cls.about(log, "failed", f"{failure.reason} ({failure.tries} tries)")
 
+    @classmethod
+    def unopened(cls, log: FleetLog, error: LogError) -> "LogAnswer":
+        """Of a log that is not there, or cannot be opened."""
+        return cls.about(log, "refused", " ".join(str(error).split()))
+
 
 def answer_log(task: LogTask) -> LogAnswer:
     """Reduce a log, unless the store has its factors already.
@@ -84,7 +89,7 @@ def answer_log(task: LogTask) -> LogAnswer:
             lambda path: _reduced(task.model, path, task.log.path),
         )
     except LogError as error:  # there is no such file, or it cannot be opened
-        return LogAnswer.about(task.log, "refused", " ".join(str(error).split()))
+        return LogAnswer.unopened(task.log, error)
     verdict, evidence, more = about
     return LogAnswer.about(
         task.log, verdict, *evidence, sha256=digest, key=key, stored=stored, **more

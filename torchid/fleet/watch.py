@@ -188,9 +188,13 @@ def _watched(
                 f"{change.before:.4g} to {change.after:.4g} {of}{apart}",
             )
         )
-    temperature = tuple(heat[:, 0].tolist() if heat.shape[1] else ())
-    told = {"temperature": temperature, "evidence": tuple(strongest.tolist())}
-    return WatchedUnit(unit=unit.unit, sessions=names, **told), alarms
+    watched = WatchedUnit(
+        unit=unit.unit,
+        sessions=names,
+        temperature=tuple(heat[:, 0].tolist()) if heat.shape[1] else (),
+        evidence=tuple(strongest.tolist()),
+    )
+    return watched, alarms
 
 
 def _daily(fleet: Fleet) -> tuple[Float[Tensor, " B"], int]:

@@ -3,7 +3,6 @@ stays without a name."""
 
 from dataclasses import dataclass
 
-from torchid.gap.diagnosis import alien_joints
 from torchid.gap.problem import Problem
 from torchid.gap.search.evidence import refit
 from torchid.gap.search.explain import Explanation, search_again_without, without_terms
@@ -65,7 +64,7 @@ def decide(found: Explanation, problem: Problem) -> Decision:
     judged, misfit = _judged(found, misfit_of(found, checked, problem), problem)
     checked = _on_held_out(found, checked, problem)
     # Beside a torque that follows neither model nothing is confirmed.
-    shrinks = checked.far.shrinks * ~alien_joints(checked.shown)
+    shrinks = checked.far.shrinks * ~checked.alien
     likely, judged = judged, [one.confirmed(shrinks) for one in judged]
     dropped = None
     if judged and len(unsure_terms(judged)) == len(judged):

@@ -1,6 +1,7 @@
 """What an explanation is worth on data that it was not fitted on, the verdict, and its warnings."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
@@ -25,7 +26,7 @@ from torchid.robot.model import joint_list, joint_unit
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.statistics.criteria import CLEAR_EXCESS, EXCESS
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 STRUCTURE = 0.25
 """Predictable share of a joint's noise variance from which structure is worth saying [1]."""
@@ -55,6 +56,11 @@ class Checked:
     measured: Noise
     far: Closing
     refitted_far: Closing
+
+    @cached_property
+    def alien(self) -> Bool[Tensor, " n"]:
+        """Joints whose torque follows neither model."""
+        return alien_joints(self.shown)
 
 
 def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:
@@ -205,7 +211,7 @@ def status_of(
     # What has no name explains nothing.
     unexplained = little or bool((odd | clear | structured | (unnamed > least.square())).any())
     if not (said.effects or said.parametric):
-        if unexplained or taken or alien_joints(checked.shown).any():
+        if unexplained or taken or checked.alien.any():
             return "detected_unexplained"
         if poor:
             return "not_testable"
@@ -227,7 +233,7 @@ def warnings_of(
         cost: (n,) torque by which the recommended bodies differ from the fitted ones [N m; N].
     """
     solution, settings, judged = found.solution, problem.settings, problem.judged
-    alien = alien_joints(checked.shown).nonzero().flatten().tolist()
+    alien = checked.alien.nonzero().flatten().tolist()
     said = (
         "Next time: check the log first (`torchid log doctor ROBOT LOG`): the model explains "
         f"nothing of the torque of {joint_list(alien)}. Is it of this robot, its joints in this "
