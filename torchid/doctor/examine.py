@@ -58,6 +58,7 @@ SIGNALS: tuple[Callable[[Case], Check | Sequence[Check]], ...] = (
     velocity.check_velocity,
     motion.check_standstill,
     torque.check_torque,
+    torque.check_silent_runs,
     velocity.check_commands,
     torque.check_saturation,
     torque.check_resolution,

@@ -6,8 +6,9 @@ import numpy as np
 
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, said
-from torchid.log.checks import NO_TORQUE
+from torchid.log.checks import NO_TORQUE, least_way
 from torchid.statistics.spectrum import density
+from torchid.typing import Float, Tensor
 
 PILE = 0.004
 """Share of the samples that may lie exactly at the largest torque."""
@@ -32,13 +33,33 @@ def check_torque(case: Case) -> Check:
     signal, n = case.torque, case.log.n
     if signal is None:
         return said("torque columns", "wrong" if case.log.u is None else "cannot tell")
-    dead = (signal.amax(0) - signal.amin(0) < NO_TORQUE).nonzero().flatten().tolist()
+    dead = (_span(signal) < NO_TORQUE).nonzero().flatten().tolist()
     if dead:
         verdict = "wrong dead" if len(dead) == n else "doubtful dead"
         values = ", ".join(f"{x:.4g}" for x in signal[0, dead].tolist())
         return said("torque columns", verdict, joints=dead, values=values)
     kind = "torque" if case.log.tau is not None else "current"
     return said("torque columns", "fine", kind=kind, n=n)
+
+
+def check_silent_runs(case: Case) -> Sequence[Check]:
+    """A run in which a joint moves and its torque never changes, as it does in others."""
+    signal, log = case.torque, case.log
+    if signal is None:
+        return ()
+    varies, way = _span(signal) >= NO_TORQUE, least_way(log)
+    for name, rows in zip(log.names, log.slices(), strict=True):
+        moves = _span(log.q[rows]) > way
+        silent = (varies & moves & (_span(signal[rows]) < NO_TORQUE)).nonzero().flatten().tolist()
+        if silent:
+            values = ", ".join(f"{x:.4g}" for x in signal[rows][0, silent].tolist())
+            return [said("runs", "wrong silent", joints=silent, run=name, values=values)]
+    return ()
+
+
+def _span(x: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
+    """Largest minus smallest value (n,)."""
+    return x.amax(0) - x.amin(0)
 
 
 def check_saturation(case: Case) -> Sequence[Check]:

@@ -428,12 +428,11 @@ class Answer(Part, frozen=True, kw_only=True):
         return tuple(sorted(out, key=lambda c: 0.0 if math.isnan(c.closes) else -c.closes))
 
     def groups(self, causes: Sequence[Cause]) -> Iterator[list[Cause]]:
-        """Causes of one name together, in the order of what they close: those that are new, and
-        those that the model had with other numbers."""
-        kinds = dict.fromkeys((c.effect, c.changed) for c in causes)
+        """Causes of one name with one set of rivals together, in the order of what they close:
+        those that are new, and those that the model had with other numbers."""
+        kinds = dict.fromkeys(map(_kind, causes))
         for kind in kinds:
-            same = [c for c in causes if (c.effect, c.changed) == kind]
-            yield sorted(same, key=lambda c: c.joints)
+            yield sorted((c for c in causes if _kind(c) == kind), key=lambda c: c.joints)
 
     def _named(self, same: Sequence[Cause], values: bool, rivals: int) -> str:
         """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`, with so many rivals."""
@@ -613,6 +612,11 @@ def common_name(cause: Cause, others: Sequence[Cause]) -> str:
     if cause.effect == "link_inertia":  # whose name has its place
         return cause.name
     return next((c for c in others if c.effect == cause.effect and c.branch), cause).name
+
+
+def _kind(cause: Cause) -> tuple[str, bool, frozenset[str]]:
+    """What causes of one line have in common."""
+    return cause.effect, cause.changed, frozenset(cause.ambiguous_with)
 
 
 def first_clause(remedy: str) -> str:

@@ -62,7 +62,7 @@ def measure(value: float, std: float | None, unit: str) -> str:
 
 def digits(value: float, most: int = 3) -> str:
     """A number of so many digits at most, without an exponent where that can be read: `2870`."""
-    return f"{float(f'{value:.{most}g}'):g}"
+    return f"{float(f'{value:.{most}g}'):zg}"
 
 
 def unit_words(unit: str) -> str:
@@ -94,7 +94,7 @@ def percent(value: float) -> str:
     if 1 - 5e-4 < value < 1:
         return "> 99.9 %"
     near = min(abs(value), abs(1 - value))
-    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:.0f} %"
+    return f"{100 * value:.1f} %" if 5e-4 <= near < 5e-3 else f"{100 * value:z.0f} %"
 
 
 def sure(value: float | None) -> str:

@@ -63,8 +63,8 @@ def decide(found: Explanation, problem: Problem) -> Decision:
         found = search_again_without(without_terms(found, refused, problem), refused, problem)
     judged, misfit = _judged(found, misfit_of(found, checked, problem), problem)
     checked = _on_held_out(found, checked, problem)
-    # Beside a torque that follows neither model nothing is confirmed.
-    shrinks = checked.far.shrinks * ~checked.alien
+    # Where most joints' torque follows neither model nothing is confirmed, on no joint.
+    shrinks = checked.far.shrinks * ~checked.alien.any()
     likely, judged = judged, [one.confirmed(shrinks) for one in judged]
     dropped = None
     if judged and len(unsure_terms(judged)) == len(judged):
