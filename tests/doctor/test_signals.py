@@ -8,7 +8,7 @@ import torch
 
 from tests.doctor.synthetic import clean, log_faults
 from torchid.doctor.examine import MODEL_CHECKS, examine, signal_checks
-from torchid.doctor.first import ask_first
+from torchid.doctor.first import WrongLogError, ask_first
 from torchid.doctor.repair import repaired
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
@@ -210,6 +210,18 @@ def test_a_dead_velocity_names_its_joint():
     assert torch.equal(mended.dq[:, :2], log.dq[:, :2])
     error = (mended.dq - log.dq)[1:-1, 2]
     assert float(error.std()) < 0.1 * float(log.dq[:, 2].std())
+
+
+def test_a_run_without_a_joints_torque_contradicts_the_others():
+    robot, log = clean("3r", 0)
+    every = Log.concatenate([log, log])
+    tau = every.tau.clone()
+    tau[every.slices()[1], 1] = 1.7
+    checks, _ = signal_checks(robot, every.replace(tau=tau))
+    (wrong,) = [c for c in checks if c.verdict != "fine"]
+    assert (wrong.name, wrong.joints) == ("runs", (1,))
+    with pytest.raises(WrongLogError, match="contradicts the others"):
+        ask_first(robot, every.replace(tau=tau))
 
 
 @pytest.mark.parametrize("left", [0.0, 1e-308])

@@ -455,3 +455,27 @@ def test_an_offset_under_a_load_has_its_size() -> None:
     sizes = {(e["effect"], tuple(e["joints"])): e["parameters"] for e in found["which"]}
     assert sizes["encoder_offset", (2,)]["offset"] == pytest.approx(0.05, rel=0.03)
     assert sizes["payload", (1, 2, 3)]["mx"] == pytest.approx(0.6, rel=0.03)
+
+
+def test_torque_in_percent_of_its_rating_is_a_gain_of_each_joint():
+    """Twice and five times the size is no other body."""
+    scale = torch.tensor([2.0, 10 / 3, 5.0], dtype=torch.float64)
+    log = logged(ROBOT)
+    log = log.replace(tau=log.tau * scale)
+    found = torchid.diagnose(ROBOT, log, settings=quick("torque_gain", *FRICTION))
+    assert {(f.effect.name, f.joints) for f in found.findings} == {
+        ("torque_gain", (j,)) for j in range(3)
+    }
+    gains = {f.joints[0]: f.values[0] for f in found.findings}
+    assert [gains[j] for j in range(3)] == pytest.approx((scale - 1).tolist(), rel=0.03)
+
+
+def test_an_effort_that_is_no_torque_names_nothing():
+    """Where most joints' torque is not the model's, friction of the last one is no cause."""
+    how = Recording(runs=ONCE)
+    log, speed = logged(ROBOT, how), true_motion(how).dq
+    assert speed is not None
+    other = torch.stack([0.3 * log.q[:, 0], 0.2 * log.q[:, 1], 2.0 * speed[:, 2]], -1)
+    found = torchid.diagnose(ROBOT, log.replace(tau=other), settings=quick(), force=True)
+    assert found.status == "detected_unexplained"
+    assert found.findings == ()

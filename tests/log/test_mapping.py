@@ -276,7 +276,8 @@ def test_factors_must_be_as_many_as_joints(tmp_path: Path) -> None:
 NANOSECONDS = 1_700_000_000_250_000_001 + np.arange(5) * 10**9
 STAMPS = {
     "text": np.array([f"2024-05-01T12:00:0{k}.250" for k in range(5)], dtype=object),
-    "timestamps": np.datetime64("2024-05-01T12:00:00.25", "ns") + np.arange(5) * np.timedelta64(1, "s"),
+    "timestamps": np.datetime64("2024-05-01T12:00:00.25", "ns")
+    + np.arange(5) * np.timedelta64(1, "s"),
     "nanoseconds": NANOSECONDS,
     "nanoseconds, by name": NANOSECONDS,
     "microseconds": NANOSECONDS // 1000,
@@ -291,6 +292,9 @@ def test_stamps_since_1970_lose_nothing(tmp_path: Path, kind: str) -> None:
     log = read_log(path, columns=f"t=when{' ns' if 'by name' in kind else ''}")
     exact = 1e-6 if kind in ("microseconds", "milliseconds") else 1e-12
     assert (log.t - log.t[0]).tolist() == pytest.approx([0, 1, 2, 3, 4], abs=exact)
+    if STAMPS[kind].dtype.kind in "if":
+        own = read_log(save(tmp_path / "b.parquet", {"t": STAMPS[kind], "q1": T}))
+        assert torch.equal(own.t, log.t)
 
 
 def test_time_that_was_not_recorded(tmp_path: Path) -> None:

@@ -59,6 +59,24 @@ def test_a_headline_without_a_cause_says_the_likeliest(status):
     ]
 
 
+def test_rivals_of_one_joint_are_no_rivals_of_others():
+    causes = [
+        Cause(
+            effect="torque_gain", joints=(j,), closes=0.1, how_sure=0.99 - 0.4 * (j == 2),
+            ambiguous_with=("filter_lag",) if j == 2 else (),
+            sizes=(Size(name="gain", unit="1", value=0.3, std=0.01),),
+        )
+        for j in range(3)
+    ]  # fmt: skip
+    said = answer(causes=tuple(causes)).headline
+    assert said.startswith("Torque gain on joints 1 and 2 and torque gain on joint 3 (0.300 ± 0.010;")
+
+
+@pytest.mark.parametrize("value", [-1e-3, -1e-5, 0.0])
+def test_nothing_has_no_sign(value):
+    assert "-0 %" not in answer(unnamed=value).headline
+
+
 def test_printed_it_is_the_headline_and_its_table():
     headline, blank, title, head, row = str(answer()).split("\n")
     assert (headline, blank, title) == (answer().headline, "", answer().title)

@@ -27,6 +27,8 @@ PREFIXES = {
 }  # fmt: skip
 JOINT_SIGNALS = tuple(PREFIXES)
 _JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i|u|ext)(\d+)")
+_EXACT = 2**53  # larger whole numbers are not all floats
+_SINCE_1970 = (1e9, 5e9)  # seconds, from 2001 to 2128: no clock that starts with a log has them
 EXPECTED = (
     "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, ql1..qln, u1..un, traj"
 )
@@ -47,7 +49,7 @@ def log_from_columns(columns: Columns, path: str | Path) -> "torchid.Log":
 
     path = Path(path)
     joints = joint_columns(columns, path)
-    t = _numeric(columns["t"], "t", path)
+    t = _numeric(seconds(numbers_of(columns["t"], f"'{path}': column t")), "t", path)
     samples = len(t)
     # Each column goes to its place alone: a second copy of all of them is a second log in memory.
     signals: dict[str, Any] = {}
@@ -233,6 +235,19 @@ def _numeric(values: np.ndarray, name: str, path: Path, samples: int | None = No
             expected=samples,
         )
     return numbers
+
+
+def seconds(stamps: np.ndarray, factor: float = 1.0, offset: float = 0.0) -> np.ndarray:
+    """(T,) seconds from numbers of another unit, or of none that is known: stamps since 1970 that
+    are finer than seconds say theirs by their size."""
+    start, (least, most) = float(stamps[0]) if stamps.size else 0.0, _SINCE_1970
+    # Nanoseconds since 1970 are counted from the first, or they would round.
+    if stamps.dtype.kind in "iu" and start > _EXACT:
+        stamps = stamps - stamps[0]
+    finer = [1 / unit for unit in (1e3, 1e6, 1e9) if least * unit < start < most * unit]
+    if finer and factor == 1.0:
+        factor = finer[0]
+    return (stamps.astype(np.float64) + offset) * factor
 
 
 def numbers_of(values: np.ndarray, label: str) -> np.ndarray:

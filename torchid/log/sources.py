@@ -8,14 +8,12 @@ from difflib import get_close_matches
 import numpy as np
 
 from torchid.errors import LogError
-from torchid.log.columns import first_names, numbers_of
+from torchid.log.columns import first_names, numbers_of, seconds
 from torchid.log.mapping import Source
 from torchid.log.table import AbsentColumnError, Table, natural
 
 _NUMBERED = re.compile(r"\{(j0?|\d+\.\.\d+|\d+(?:\s*,\s*\d+)+)\}")
 _INDEXED = re.compile(r"(.+?)\[([^,\[\]]+|\[[\d,\s]+\]),([^,\[\]]+|\[[\d,\s]+\])\]")
-_EXACT = 2**53  # larger whole numbers are not all floats
-_SINCE_1970 = (1e9, 5e9)  # seconds, from 2001 to 2128: no clock that starts with a log has them
 
 Index = slice | list[int]
 
@@ -155,15 +153,7 @@ def time_of(
         # From the first stamp on; durations as they are.
         since = raw - raw[:1] if raw.dtype.kind == "M" else raw
         return since / np.timedelta64(1, "ns") * 1e-9
-    # Stamps as floats; nanoseconds since 1970 are counted from the first, or they would round.
-    stamps = numbers_of(raw, label)
-    start, (least, most) = float(stamps[0]) if len(stamps) else 0.0, _SINCE_1970
-    if stamps.dtype.kind in "iu" and start > _EXACT:
-        stamps = stamps - stamps[0]
-    # Stamps finer than seconds say their unit by their size.
-    finer = [1 / unit for unit in (1e3, 1e6, 1e9) if least * unit < start < most * unit]
-    factor = finer[0] if finer and source.factors[0] == 1.0 else source.factors[0]
-    return (stamps.astype(np.float64) + source.offsets[0]) * factor
+    return seconds(numbers_of(raw, label), source.factors[0], source.offsets[0])
 
 
 def labels_of(
