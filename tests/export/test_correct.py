@@ -177,6 +177,7 @@ def test_every_effect_without_a_field_is_named_with_what_is_kept(done):
         assert one.lost / one.made == pytest.approx(1 - one.share, abs=0.1)
     text = done.exports[0].files[0].read_text()
     assert f"torque_offset of joint 2 ({offset.lost:.2g} of 0.4 RMS are lost)" in text
+    assert done.warnings[0].startswith("of the sensor, not of the arm: torque offset;")
 
 
 @pytest.mark.parametrize(("power", "within"), [(1.5, 0.02), (2.0, 0.04)])

@@ -69,7 +69,9 @@ def test_rivals_of_one_joint_are_no_rivals_of_others():
         for j in range(3)
     ]  # fmt: skip
     said = answer(causes=tuple(causes)).headline
-    assert said.startswith("Torque gain on joints 1 and 2 and torque gain on joint 3 (0.300 ± 0.010;")
+    assert said.startswith(
+        "Torque gain on joints 1 and 2 and torque gain on joint 3 (0.300 ± 0.010;"
+    )
 
 
 @pytest.mark.parametrize("value", [-1e-3, -1e-5, 0.0])

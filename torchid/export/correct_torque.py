@@ -17,6 +17,7 @@ from msgspec import structs
 
 from torchid.design.columns import Columns, Model
 from torchid.design.repeats import find_repeats
+from torchid.effects.registry import KINDS
 from torchid.errors import TorchidError
 from torchid.export.correction import (
     Correction,
@@ -37,7 +38,7 @@ from torchid.gap.data import Data, read
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.folds import Folds, make_folds
 from torchid.gap.validate.traces import traces
-from torchid.results.words import listed
+from torchid.results.words import effect_words, listed
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.shooting import starts_of, windows_of
 from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
@@ -232,6 +233,12 @@ def _warnings(
         said.append(
             f"{joint_list(silent)}: the measured torque holds no signal, "
             "so the file keeps the friction of the robot as given, and nothing is judged there"
+        )
+    sensors = list(dict.fromkeys(k.effect for k in projection.kept if KINDS[k.effect].of_sensor))
+    if sensors:
+        said.append(
+            f"of the sensor, not of the arm: {listed(map(effect_words, sensors))}; the file makes "
+            "the torque that the log reads. For the arm's own correct the log first"
         )
     if not projection.believable:
         said.append(
