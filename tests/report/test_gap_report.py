@@ -266,3 +266,5 @@ def test_listed(words, expected):
 
 def test_effect_words():
     assert effect_words("stribeck_friction") == "Stribeck friction"
+    assert effect_words("encoder_offset 3") == "encoder offset on joint 3"
+    assert effect_words("link_inertia 3") == "inertia of link 3"

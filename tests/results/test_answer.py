@@ -83,3 +83,14 @@ def test_printed_it_is_the_headline_and_its_table():
     headline, blank, title, head, row = str(answer()).split("\n")
     assert (headline, blank, title) == (answer().headline, "", answer().title)
     assert head.index("before") == row.index("10")
+
+
+@pytest.mark.parametrize(("high", "joint"), [(9.9, 2), (float("nan"), 1)])
+def test_a_gap_is_largest_where_it_is_most_beyond_noise(high, joint):
+    joints = (
+        JointError(joint=0, name="a", before=10.0, after=10.0, noise=(5.0, high)),
+        JointError(joint=1, name="b", before=3.0, after=3.0, noise=(0.1, 0.2)),
+        JointError(joint=2, name="c", before=float("nan"), after=float("nan"), noise=(0.0, 0.0)),
+    )
+    said = answer(status="detected_unexplained", causes=(), joints=joints).headline
+    assert said.endswith(f"It is largest on joint {joint}.")

@@ -108,6 +108,8 @@ def _ambiguities(record: GapRecord, robot: Robot) -> tuple[list[Rival], list[str
     for entry in record.which:
         effect = entry.effect
         for other in entry.ambiguous_with:
+            if other.partition(" ")[0] == effect:  # the same elsewhere
+                continue
             event = next((n for n in (effect, other) if not _by_motion(n)), None)
             if event is None and effect in INERTIAL and other in INERTIAL:
                 event = effect

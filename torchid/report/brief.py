@@ -143,7 +143,7 @@ class Screen:
         own = any(row.error.joint in c.joints or not c.joints for c in shared)
         if own and row.error.after < UNCHANGED * row.error.before:
             return "as listed below"
-        if row.error.after <= row.error.noise[0]:
+        if row.error.after <= max(row.error.noise):
             return "within the noise"
         return "no known effect" if self.answer.noise_measured else "unknown, or noise"
 

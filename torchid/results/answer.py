@@ -217,6 +217,13 @@ class JointError(Part, frozen=True, kw_only=True):
     after: Real
     noise: Ends
 
+    @property
+    def beyond_noise(self) -> float:
+        """Mean square beyond the highest noise known; minus infinity where it never moves."""
+        if math.isnan(self.before):
+            return -math.inf
+        return self.before**2 - max([x for x in self.noise if not math.isnan(x)], default=0.0) ** 2
+
 
 @dataclass(frozen=True)
 class JointRow:
@@ -340,7 +347,7 @@ class Answer(Part, frozen=True, kw_only=True):
                 "negligible": f"No gap that matters: {size} (noise {noise}).",
                 "not_testable": "This log cannot show what causes a gap:",
             }
-            worst = max(self.joints, key=lambda j: -math.inf if j.before != j.before else j.before)
+            worst = max(self.joints, key=lambda j: j.beyond_noise)
             # Beside what speaks against all of the log no bracket of its noise does.
             gap = f"No known effect explains {self.error} of {size}"
             gap += "." if self.doubt else f" (noise {noise})."

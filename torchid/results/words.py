@@ -16,8 +16,13 @@ _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
 def effect_words(name: str) -> str:
-    """`coulomb_friction` as `Coulomb friction`."""
-    return " ".join(_PROPER.get(word, word) for word in name.split("_"))
+    """`coulomb_friction` as `Coulomb friction`; `encoder_offset 3` and `link_inertia 3` as `encoder
+    offset on joint 3` and `inertia of link 3`."""
+    effect, _, number = name.partition(" ")
+    if number and effect == "link_inertia":
+        return f"inertia of link {number}"
+    words = " ".join(_PROPER.get(word, word) for word in effect.split("_"))
+    return f"{words} on joint {number}" if number else words
 
 
 def regime_words(name: str) -> str:

@@ -199,7 +199,7 @@ def _plantings(
     """Causes, the most wanted first, without end unless no joint moves."""
     motions = [_with_load(bed.robot, s.motion) for s in segments]
     names = [f.effect.name for f in diagnosis.findings]
-    names += [name for f in diagnosis.findings for name in f.ambiguous_with]
+    names += [name.partition(" ")[0] for f in diagnosis.findings for name in f.ambiguous_with]
     names = [n for n in dict.fromkeys((*names, *USUAL)) if _can_be_planted(n, motions[0])]
     # A joint that leaves nothing moves not, or has no torque.
     after = diagnosis.how_far.rms_after.nan_to_num()

@@ -19,12 +19,15 @@ from tests.gap.problems import (
 from tests.gap.search.beside import offers
 from torchid.design.columns import Columns, Model
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.transient import Saturation
 from torchid.gap.search.climb import candidate_moves, climb_from, drop_worthless, fit_anew
 from torchid.gap.search.evidence import comparable
 from torchid.gap.search.explain import (
     Explanation,
+    beside_small,
+    improve_by_swaps,
     refine_shapes,
     search_again_without,
     search_without_small,
@@ -63,6 +66,31 @@ def test_the_search_goes_on_without_what_has_left() -> None:
     same, none = search_without_small(question, folds, start, [])
     assert same is start
     assert none == []
+
+
+@pytest.mark.parametrize("small", [True, False])
+def test_a_cause_does_not_give_way_to_one_that_holds_what_is_too_small(small: bool) -> None:
+    """Viscous friction, beside a steep power law that has no name: a flat one holds most of both,
+    and takes the place of viscous friction where the steep one is forgotten."""
+    steep = PowerLawFriction(1, 2.5)
+    names = (*SIMPLE, "power_law_friction")
+    data = measured([(steep, [0.3]), (ViscousFriction(1), [0.8])], noise=0.01)
+    question = question_of(data, names, parts=two_folds(data))
+    folds = question.candidates.gram.folds()
+    viscous = fit_anew(question, [term(question, "viscous_friction", 1)])
+    left = [t for t in question.candidates.terms if t.effects == (steep,) and small]
+    fit, _ = improve_by_swaps(question, folds, viscous, left)
+    assert (named(fit.terms) == {("viscous_friction", 1)}) is small
+
+
+def test_only_what_the_evidence_has_is_beside_an_explanation() -> None:
+    data = measured([(CoulombFriction(1), [0.1]), (ViscousFriction(1), [0.8])], noise=0.01)
+    question = question_of(data)
+    fit = fit_anew(question, [term(question, "viscous_friction", 1)])
+    others = [("coulomb_friction", 1), ("torque_offset", 2), ("viscous_friction", 1)]
+    whole = beside_small(question, fit, [term(question, *one) for one in others])
+    assert named(whole.terms) == {("viscous_friction", 1), ("coulomb_friction", 1)}
+    assert beside_small(question, fit, []) is fit
 
 
 def test_another_cause_may_follow_one_that_was_refused() -> None:

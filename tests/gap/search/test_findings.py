@@ -21,7 +21,7 @@ from torchid.gap.search.findings import (
 )
 from torchid.gap.search.odds import Against, Odds, place_of
 from torchid.gap.search.solve import Solution, solve_terms
-from torchid.gap.search.terms import BASE, PAYLOAD
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.bagging import Draws, bagged
 from torchid.statistics.blocks import block_numbers
@@ -89,6 +89,26 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     rises = [then.evidence - now.evidence, *(rise for rise, *_ in found)]
     sure, *_ = bagged([(None, rise) for rise in rises], place.draws.as_it_is)
     assert sure > 0.99  # they are named, not believed
+
+
+def test_a_link_that_does_as_well_is_in_the_set_of_another() -> None:
+    """A point mass where link 3 begins is one of link 2 as well: the set holds both."""
+    change = torch.zeros(3, 10, dtype=torch.float64)
+    change[2, 0] = 0.4
+    pi = ROBOT.require_parameters("a test").pi
+    data = measured([], real=ROBOT.with_parameters(InertialParameters(pi + change)), noise=0.01)
+    question = question_of(data, (LINK,), inertial=True)
+    links = {t.joints: t for t in question.candidates.terms if t.name == LINK}
+    own, rows = links[(2,)], question.normal.rows
+    fit, without = (fit_terms(question, terms, rows) for terms in ([own], []))
+    found = alternatives(question, fit, without, own, likely_terms(question, fit, without, own))
+    (other,) = (t for _, t, _ in found if t.name == LINK)
+    assert other.joints == (1,)
+    even = Odds(0.5, 0.0, 0.0, tuple(0.5 * (t is other) for _, t, _ in found))
+    pairs = tuple((rise, (t,)) for rise, t, _ in found)
+    against = Against(question, fit, Draws.of(torch.zeros(len(data.samples)).long()))
+    judged = Judged(place_of(against, without, own, None), pairs, even)  # type: ignore[arg-type]
+    assert judged.ambiguous_with == ("link_inertia 2",)
 
 
 @pytest.mark.parametrize("bodies", [True, False])

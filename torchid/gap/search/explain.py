@@ -186,7 +186,7 @@ def worth_naming(
         laws = excluding(question.own(fit), gone)
         fit, left = drop_worthless(question, folds, climb_from(question, laws))
         fit, left = improve_by_swaps(question, folds, fit, left)
-    whole = with_bodies(question, folds, fit)
+    whole = with_bodies(question, folds, fit, left)
     if whole is not fit:
         fit, left = improve_by_swaps(question, folds, whole, left)
     return question, fit, left
@@ -253,14 +253,35 @@ def improve_by_swaps(
     fit: Fitted,
     left: Sequence[Term],
 ) -> tuple[Fitted, list[Term]]:
-    """Swap causes for others while the evidence rises; also return those that are too small."""
+    """Swap causes for others while the evidence rises beside those that are too small for a name:
+    without them a body's ten numbers take what they hold, and stand for the causes beside it. Also
+    return those that are too small."""
     out = list(left)
+    whole = beside_small(question, fit, out)
     while (other := swap_term(question, fit, every=True)) is not None:
         other, more = drop_worthless(question, folds, other)
-        if most_evident(question, [fit, other]) is fit:
+        then = beside_small(question, other, [*out, *more])
+        if most_evident(question, [whole, then]) is whole:
             break
-        fit, out = other, [*out, *more]
+        fit, whole, out = other, then, [*out, *more]
     return fit, out
+
+
+def beside_small(question: Question, fit: Fitted, small: Sequence[Term]) -> Fitted:
+    """A fit with those of some terms that are too small for a name which the evidence has beside
+    it."""
+    own = question.own(fit)
+    there = {t.key for t in own}
+    rest = list({t.key: t for t in small if t.key not in there}.values())
+    whole = refit(question, fit, [*own, *rest]) if rest else fit
+    while rest:
+        fewer = [excluding(rest, [t]) for t in rest]
+        found = refit_each(question, whole, [[*own, *some] for some in fewer])
+        k = max(range(len(found)), key=lambda k: found[k].evidence)
+        if found[k].evidence <= whole.evidence:
+            break
+        whole, rest = found[k], fewer[k]
+    return whole
 
 
 def search_without_small(
@@ -305,9 +326,19 @@ def events_not_standing_out(
     return [t for t in own if any(t is g for g in gone)]
 
 
-def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
-    """All base parameters beside what was found, if they are worth it: last, for they hold a share
-    of every cause. They displace what the evidence does not need beside them."""
+def with_small(found: Explanation, problem: Problem) -> Explanation:
+    """The same explanation with those of the terms too small for a name that the evidence has
+    beside it, behind its own."""
+    fit = beside_small(found.question, found.fit, found.unworthy)
+    if fit is found.fit:
+        return found
+    return replace(found, fit=fit, unworthy=(), solution=solve(problem, fit))
+
+
+def with_bodies(question: Question, folds: Folds, fit: Fitted, left: Sequence[Term]) -> Fitted:
+    """All base parameters beside what was found and what is too small for a name, if they are worth
+    it: last, for they hold a share of every cause. They displace what the evidence does not need
+    beside them."""
     own = question.own(fit)
     base = [t for t in question.candidates.terms if t.name == BASE]
     if not base or any(t.name == BASE for t in own):
@@ -315,8 +346,8 @@ def with_bodies(question: Question, folds: Folds, fit: Fitted) -> Fitted:
     # Beside the effects, but in the place of other bodies.
     beside = [*(t for t in own if not t.inertial), *base]
     more = refit(question, fit, beside, 10)
-    one, other = comparable(question, more, fit)
-    if one.evidence <= other.evidence:
+    whole = beside_small(question, fit, left)
+    if most_evident(question, [whole, beside_small(question, more, left)]) is whole:
         return fit
     # They must be worth it on some joint, on data that was not fitted, and do no such harm on any.
     explanations = own, question.own(more)

@@ -126,13 +126,14 @@ class Judged:
 
     @property
     def ambiguous_with(self) -> tuple[str, ...]:
-        """Names of the others of its set; at the end of a shape's range at least the best other,
+        """Names of the others of its set, the same effect elsewhere with the number of its joint or
+        link; at the end of a shape's range at least the best other,
         for what lies beyond nobody has looked at."""
         numbers = self.odds.in_set
         if self.at_an_end and self.others and not numbers:
             numbers = [max(range(len(self.others)), key=lambda k: self.others[k][0])]
-        every = (t.name for k in numbers for t in self.others[k][1])
-        return tuple(dict.fromkeys(LINK if name == BASE else name for name in every))
+        every = (t for k in numbers for t in self.others[k][1])
+        return tuple(dict.fromkeys(_name_beside(t, self.term) for t in every))
 
     @property
     def branch_sure(self) -> float:
@@ -150,6 +151,12 @@ def _sure_of(law: Place | None, misfit: Misfit) -> float:
     return 0.0 if law is None else law.odds(misfit).sure
 
 
+def _name_beside(other: Term, term: Term) -> str:
+    """Of another term in the place of one."""
+    name = LINK if other.name == BASE else other.name
+    return f"{name} {other.joints[0] + 1}" if name == term.name and other.joints else name
+
+
 def _branch(term: Term) -> str:
     return KINDS[LINK if term.name == BASE else term.name].branch
 
@@ -159,19 +166,22 @@ def _near(one: Term, two: Term) -> bool:
     return bool(set(one.joints) & set(two.joints)) or not (one.joints or two.joints)
 
 
-def judge_terms(found: Explanation, misfit: Misfit, draws: Draws) -> list[Judged]:
-    """The terms of an explanation, in its order.
+def judge_terms(
+    found: Explanation, misfit: Misfit, draws: Draws, number: int | None = None
+) -> list[Judged]:
+    """Terms of an explanation, the first ones in its order, or all.
 
     Args:
         found: the explanation.
         misfit: that it leaves.
         draws: logs that might have been.
+        number: of the terms that are asked for.
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     against = Against(question, fit, draws)
     laws = friction_of(found, against)
     out = []
-    for k, term in enumerate(found.terms):
+    for k, term in enumerate(found.terms[:number]):
         # What the others leave, refitted.
         rest = excluding(found.terms, [term])
         without = refit(question, fit, rest, 10)
@@ -352,6 +362,8 @@ def _separable(found: Explanation, one: Judged) -> Term | None:
     question, fit = found.question, found.fit
     rest = excluding(found.terms, [one.term])
     for other in (terms[0] for _, terms in one.others if len(terms) == 1):
+        if other.name == one.term.name:
+            continue
         again = refit(question, fit, (*rest, other))
         differs = log_likelihood_ratio(fit.effective, again.losses, fit.losses)
         if other.name != BASE and float(differs.abs().sum()) >= 0.1:
@@ -364,7 +376,7 @@ def _without_bodies(found: Explanation, one: Judged) -> tuple[Fitted, Fitted]:
     parameters hold whatever it does."""
     question, fit = found.question, found.fit
     if one.term.name != PAYLOAD:
-        return comparable(question, fit, one.without)
+        return comparable(question, *one.place.fits)
     effects = [t for t in found.terms if t.name != BASE]
     lighter = excluding(effects, [one.term])
     both = (refit(question, fit, e, 10) for e in (effects, lighter))
@@ -411,11 +423,12 @@ def likely_terms(question: Question, fit: Fitted, without: Fitted, term: Term) -
 def alternatives(
     question: Question, fit: Fitted, without: Fitted, term: Term, tried: Sequence[Tried]
 ) -> list[Tried]:
-    """Of the likely terms the best of each name that physics allows; and base parameters that do as
-    well, whatever they cost, for then the effect stands only if the parameters are trusted."""
+    """Of the likely terms the best of each name that physics allows, of its own name elsewhere; and
+    base parameters that do as well, whatever they cost, for then the effect stands only if the
+    parameters are trusted."""
     names: dict[str, Tried] = {}
     for rise, other, again in tried:
-        if other.name != term.name and rise > -math.inf:
+        if rise > -math.inf:
             names.setdefault(other.name, (rise, other, again))
     for base in question.candidates.terms:
         if base.name == BASE and not (term.of_links or question.shows(term)):

@@ -5,7 +5,12 @@ from dataclasses import dataclass
 
 from torchid.gap.problem import Problem
 from torchid.gap.search.evidence import refit
-from torchid.gap.search.explain import Explanation, search_again_without, without_terms
+from torchid.gap.search.explain import (
+    Explanation,
+    search_again_without,
+    with_small,
+    without_terms,
+)
 from torchid.gap.search.findings import Judged, judge_terms, unsure_terms
 from torchid.gap.search.odds import Misfit
 from torchid.gap.search.shares import Shares
@@ -85,10 +90,10 @@ def _on_held_out(found: Explanation, checked: Checked, problem: Problem) -> Chec
 
 
 def _judged(found: Explanation, misfit: Misfit, problem: Problem) -> tuple[list[Judged], Misfit]:
-    """The terms of an explanation beside a misfit that grows by those that are not likely, until
-    no more of them are; and that misfit."""
-    question, fit = found.question, found.fit
-    judged, whole = judge_terms(found, misfit, problem.draws), misfit
+    """The terms of an explanation, with what is too small for a name beside them, and a misfit that
+    grows by those that are not likely, until no more of them are; and that misfit."""
+    question, fit, beside = found.question, found.fit, with_small(found, problem)
+    judged, whole = judge_terms(beside, misfit, problem.draws, len(found.terms)), misfit
     unsure: list[Term] = []
     while len(more := unsure_terms(judged)) > len(unsure):
         unsure = more
