@@ -205,7 +205,8 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
     """An effect that gets no name: of a size below what was asked for, or not sure enough.
 
     Attributes:
-        effect, family, joints, parameters, main, std, unit, how_sure, replication: as FoundEffect's.
+        effect, family, joints, parameters, main, std, unit: as FoundEffect's.
+        how_sure, replication: likewise.
         closes_rms: error that it takes away, as a root of the fall of the mean square while the
             joint moves, on the joint where that is most [N m; N].
         settles: what would settle whether it is there.

@@ -140,7 +140,7 @@ class Cause(Part, frozen=True, kw_only=True):
 
     def in_words(self, size: Size) -> str:
         """One of its numbers, with its name where it has several."""
-        return size_words(size) if len(self.sizes) == 1 or self.changed else named_size(size)
+        return size_words(size) if len(self.sizes) == 1 else named_size(size)
 
     @property
     def rivals(self) -> str:
