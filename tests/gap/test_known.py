@@ -17,6 +17,7 @@ from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
+from torchid.identification.knowledge import whole_arm
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.jacobian import tool_jacobian
@@ -128,6 +129,23 @@ def test_a_load_is_told_beside_what_is_known() -> None:
     assert set(told) == {"payload"}
     mass, std = told["payload"].values[0], told["payload"].std[0]
     assert abs(mass - 0.8) < 3 * std + 0.02
+
+
+def test_another_load_is_told_beside_one_that_the_model_has() -> None:
+    """A log tells the sum of a link and its load alone: what it has more is the other load."""
+    place, inertia = (0.0, 0.0, 0.1), 0.002
+    before, after = (replace(carrying(m, place, inertia), effects=TRUE.effects) for m in (0.8, 1.3))
+    model = torchid.diagnose(first().corrected, log_of(before, SECOND), settings=settings())
+    assert [e["effect"] for e in model.corrected.effects].count("payload") == 1
+    third = log_of(after, Recording(runs=(3, 4)))
+    found = torchid.diagnose(model.corrected, third, settings=settings())
+    (cause,) = found.answer.causes  # which of the two it is, is anybody's guess
+    assert {cause.effect, *cause.ambiguous_with} == {"payload", "link_inertia"}
+    assert found.answer.after < 0.06 < 0.1 * found.answer.before
+    masses = [
+        float(whole_arm(d.corrected).require_parameters("a test").mass[-1]) for d in (model, found)
+    ]
+    assert masses[1] - masses[0] == pytest.approx(0.5, abs=0.05)
 
 
 def test_a_change_hidden_in_what_was_open_is_no_gap_by_no_means() -> None:

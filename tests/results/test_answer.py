@@ -3,9 +3,10 @@
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
-from torchid.results.answer import Answer, Cause, JointError, Size
+from torchid.results.answer import Answer, Cause, JointError, Size, cause_cells
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "answers"
 
@@ -77,6 +78,31 @@ def test_rivals_of_one_joint_are_no_rivals_of_others():
 @pytest.mark.parametrize("value", [-1e-3, -1e-5, 0.0])
 def test_nothing_has_no_sign(value):
     assert "-0 %" not in answer(unnamed=value).headline
+def spring(joint: int, k: float, c0: float) -> Cause:
+    """A counterbalance, most of whose torque is that at q = 0."""
+    sizes = (
+        Size(name="c0", unit="N m", value=c0, std=0.4), Size(name="k", unit="N m/rad", value=k),
+    )  # fmt: skip
+    return Cause(
+        effect="joint_spring", joints=(joint,), sizes=sizes, how_sure=0.97, closes=abs(c0) / 20
+    )
+
+
+def test_short_of_room_a_cause_shows_what_makes_its_torque():
+    cause = spring(1, k=-0.8, c0=8.9)
+    assert cause.values() == "c0 = 8.9 ± 0.4 N m, k = -0.8 N m/rad"
+    assert cause.values(std=False) == "c0 = 8.9 N m"
+    assert answer(suspects=(cause,)).suspect_lines == [
+        "joint spring on joint 2 (c0 = 8.9 ± 0.4 N m, 97 %): "
+    ]
+
+
+def test_a_number_that_joints_share_a_row_for_is_one_number():
+    """That of the largest cause; a cause whose own largest is another shows it as well."""
+    small = spring(0, k=2.0, c0=0.5)
+    small = msgspec.structs.replace(small, sizes=small.sizes[::-1])
+    text, *_ = cause_cells((small, spring(1, k=-0.8, c0=8.9)))
+    assert text == "joint spring c0 = 0.5, 8.9 N m"
 
 
 def test_printed_it_is_the_headline_and_its_table():

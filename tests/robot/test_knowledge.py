@@ -63,6 +63,29 @@ def test_what_has_changed_is_not_known_any_more() -> None:
     assert float(moved.root[:, 10:20].abs().max()) == 0.0
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_of_a_link_and_its_load_the_sum_is_known(told: bool) -> None:
+    """As well as their covariance says; or, where nothing but a log told of the load, whose columns
+    are the link's, as well as the log says."""
+    load = tuple(f"payload p{k}" for k in range(10))
+    known = drawn(3, names=(NAMES[0], *load, NAMES[1]), rows=60)
+    if not told:
+        root = known.root.clone()
+        root[:, 11:21] = root[:, :10] * (1 + 1e-13)
+        known = replace(known, root=root)
+    merged = known.merged(load, 0)
+    assert merged.coefficients == (NAMES[0], NAMES[1])
+    kept = [*range(11), 21]
+    information = known.information[kept][:, kept]
+    if told:
+        sums = torch.eye(22, dtype=torch.float64)[kept]
+        sums[:10, 11:21] = torch.eye(10, dtype=torch.float64)
+        information = torch.linalg.inv(sums @ torch.linalg.inv(known.information) @ sums.T)
+    size = information.diagonal().sqrt()
+    unit = size * size.unsqueeze(1)
+    assert_close(merged.information / unit, information / unit, rtol=1e-6, atol=1e-8)
+
+
 def test_ageing_adds_a_variance() -> None:
     known = drawn(3)
     aged = known.aged({NAMES[0]: 4.0, "unknown": 1.0})

@@ -222,6 +222,7 @@ class Finding:
         removes: (n,) what it takes away of each joint's error [N m; N]; they add up, too.
         notes: sentences, e.g. a coefficient that is not determined.
         common: whether one coefficient is common to all joints.
+        main: number of the coefficient that makes most of its torque in these logs.
     """
 
     effect: Effect
@@ -236,6 +237,7 @@ class Finding:
     removes: tuple[float, ...]
     notes: tuple[str, ...] = ()
     common: bool = False
+    main: int = 0
     one_of_a_set: bool = False
     branch_sure: float | None = None
     changed: tuple[KnownCoefficient, ...] = ()
@@ -273,6 +275,7 @@ class Finding:
             unit=units,
             shape=[name for name in own if name in {x.name for x in effect.shapes}],
             places=[name for name in own if name in PLACES],
+            main=effect.coefficients[self.main].name,
         )
 
 

@@ -141,6 +141,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
         located: joints that it acts at; none of one that belongs to the whole arm.
         ambiguous_with: names of effects the data do not separate it from.
         parameters: coefficients, shapes and places.
+        main: the coefficient that makes most of its torque in these logs.
         p_value, how_sure, branch_sure, one_of_a_set, share, alone, removes: as Finding's.
         std, unit: of the coefficients, and units of shapes too.
         shape, places: which of the parameters are shapes, and which places.
@@ -166,6 +167,7 @@ class FoundEffect(Part, frozen=True, kw_only=True):
     unit: dict[str, str]
     shape: tuple[str, ...]
     places: tuple[str, ...]
+    main: str = ""
     share: float | None = None
     alone: float | None = None
     removes: tuple[Real, ...] = ()
@@ -203,7 +205,8 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
     """An effect that gets no name: of a size below what was asked for, or not sure enough.
 
     Attributes:
-        effect, family, joints, parameters, std, unit, how_sure, replication: as FoundEffect's.
+        effect, family, joints, parameters, main, std, unit: as FoundEffect's.
+        how_sure, replication: likewise.
         closes_rms: error that it takes away, as a root of the fall of the mean square while the
             joint moves, on the joint where that is most [N m; N].
         settles: what would settle whether it is there.
@@ -215,6 +218,7 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
     family: str
     joints: tuple[Joint, ...]
     parameters: Values
+    main: str = ""
     std: dict[str, float | None]
     unit: dict[str, str]
     closes_rms: Real
@@ -237,10 +241,10 @@ class UnnamedEffect(Part, frozen=True, kw_only=True):
 
 
 def _sizes(of: FoundEffect | UnnamedEffect) -> tuple[Size, ...]:
-    """Coefficients as numbers of a cause."""
+    """Coefficients as numbers of a cause, that which makes most torque first."""
     return tuple(
         Size(name=name, unit=of.unit[name], value=float(value), std=std)
-        for name, std in of.std.items()
+        for name, std in sorted(of.std.items(), key=lambda item: item[0] != of.main)
         if isinstance(value := of.parameters[name], float | int)
     )
 

@@ -1,13 +1,14 @@
 """What logs tell of a model's values: information as robust as the spread of blocks says."""
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import torch
 
 from torchid.design.columns import Columns
 from torchid.effects.base import Effect
-from torchid.effects.inertia import LinkInertia, Payload
-from torchid.effects.registry import KINDS, Valued, nominal_effects
+from torchid.effects.inertia import BodyEffect, LinkInertia, Payload
+from torchid.effects.registry import KINDS, Valued, carrying, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.least_squares import orthonormal
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -206,6 +207,22 @@ def known_coefficients(effects: Iterable[Valued]) -> dict[str, float]:
     }
 
 
+def whole_arm(robot: Robot) -> Robot:
+    """The arm whose links are with the bodies among its effects, of which a log tells no more than
+    their sums: another load or link is told beside them."""
+    effects = nominal_effects(robot)
+    bodies = [(e, v) for e, v in effects if isinstance(e, BodyEffect)]
+    if not bodies or robot.parameters is None:
+        return robot
+    known = robot.knowledge
+    for effect, _ in bodies:
+        names = known_names(effect)
+        if known is not None and set(names) <= set(known.coefficients):
+            known = known.merged(names, effect.link(robot))
+    rest = tuple(e.record(v) for e, v in effects if not e.inertial)
+    return replace(carrying(robot, bodies), effects=rest, knowledge=known)
+
+
 def known_later(robot: Robot) -> Knowledge | None:
     """How sure a robot's model is on the day of another session; None where it does not say."""
     if robot.knowledge is None or robot.parameters is None:
@@ -224,6 +241,7 @@ def known_before(
         base, effects: which base parameters.
         later: on the day of another session; else on that of the last one.
     """
+    robot = whole_arm(robot)
     known = known_later(robot) if later else robot.knowledge
     if known is None or robot.parameters is None:
         return None

@@ -13,12 +13,19 @@ import torch
 from msgspec import UNSET, UnsetType, field, structs
 from scipy.special import chdtri, fdtri
 
+from torchid.design.motion import measurements, moves
 from torchid.design.signal import DRIVE_GAIN, from_current
 from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.effects.motion import Motion
 from torchid.errors import TorchidError
-from torchid.identification.base_parameters import BaseParameters, random_states
+from torchid.identification.base_parameters import (
+    BaseParameters,
+    random_states,
+    stacked_regressor,
+)
 from torchid.identification.identify import Progress, identify
 from torchid.identification.knowledge import known_before
+from torchid.identification.logs import prepared
 from torchid.identification.payload_fit import (
     Evidence,
     Fitted,
@@ -350,6 +357,9 @@ def _felt(robot: Robot, q: Float[Tensor, "T n"], joints: list[int]) -> Bool[Tens
 _MOSTLY_STANDS = 0.8
 """Share of a log at rest from which on a joint counts as one that stands."""
 
+_INSTANTS = 1000
+"""Of a trajectory, at most about so many whose mean says what standing joints hold."""
+
 _STATES, _FAINT = 60, 1e-3
 """Random states that show what joints feel, and the share of a torque that counts as none."""
 
@@ -426,8 +436,12 @@ def payload(
         )
     carrying = identify(unknown, loaded, settings=settings, device=device, progress=progress)
     gain_std = DRIVE_GAIN if from_current(loaded) else 0.0
-    found = estimate_payload(without, carrying, model=model, gain_std=gain_std)
-    own = [*found.warnings, *_motion_for(found, robot, loaded, carrying)]
+    rest: tuple[Evidence, ...] = ()
+    said: list[str] = []
+    if isinstance(without, Identification) and settings.rows == "moving":
+        rest, said = _at_rest(without, carrying, loaded)
+    found = estimate_payload(without, carrying, model=model, gain_std=gain_std, rest=rest)
+    own = [*found.warnings, *_motion_for(found, robot, loaded, carrying), *said]
     if gain_std:
         own.append(
             f"torque is computed from current. Its gain is assumed known to {gain_std:.0%}; every "
@@ -435,6 +449,40 @@ def payload(
         )
     warnings = tuple(dict.fromkeys([*own, *noticed, *_of_the_log(carrying, "with payload")]))
     return structs.replace(found, cutoff=carrying.cutoff, warnings=warnings)
+
+
+def _at_rest(
+    without: Identification, carrying: Identification, log: Log
+) -> tuple[tuple[Evidence, ...], list[str]]:
+    """What joints that stand in the log with payload hold, and a sentence that says so: one row of
+    gravity a joint and trajectory, the mean of its rows at rest; what the others' motion adds is
+    that without payload. Friction holds up to the dry friction of the joint either way, as far as
+    that is known without payload: as much is the row's error."""
+    base, robot, n = carrying.base, carrying.robot, carrying.base.n_rigid
+    at = {name: k for k, name in enumerate(base.names) if bool(without.free[k])}
+    standing = (carrying.fit.standstill_fraction > _MOSTLY_STANDS).nonzero().flatten().tolist()
+    told = {j: at[f"Fc{j + 1}"] for j in standing if f"Fc{j + 1}" in at}
+    rows, values = [], []
+    for m in measurements(prepared(log, robot)[0], carrying.cutoff) if told else ():
+        some = slice(m.edge, m.samples - m.edge, max(1, m.samples // _INSTANTS))
+        motion = m.whole.part(some)
+        both = motion, Motion(motion.q, 0 * motion.q, 0 * motion.q)
+        whole, y = (stacked_regressor(robot, (), x)[:, list(base.independent[:n])] for x in both)
+        added = ((whole - y) @ without.values[:n]).unflatten(0, (-1, robot.n))
+        y, still = y.unflatten(0, (-1, robot.n)), ~moves(motion, m.moving)
+        held = m.tau[some] - added
+        for j, k in told.items():
+            friction = float(without.values[k])
+            offset = float(without.values[at[f"F0{j + 1}"]]) if f"F0{j + 1}" in at else 0.0
+            own = still[:, j]
+            if friction > 0 and own.any():
+                row = torch.cat([y[own, j].mean(0), y.new_zeros(len(base) - n)])
+                rows.append(row / friction)
+                values.append((held[own, j].mean() - offset) / friction)
+    if not rows:
+        return (), []
+    said = f"{joint_list(sorted(told))} stand with the payload: what they hold counts to within "
+    return (known_rows(torch.stack(rows), torch.stack(values)),), [said + "their dry friction"]
 
 
 def _of_the_log(arm: Identification, which: str) -> list[str]:
@@ -449,6 +497,7 @@ def estimate_payload(
     *,
     model: Model = "general",
     gain_std: float = 0.0,
+    rest: tuple[Evidence, ...] = (),
 ) -> Payload:
     """The payload that turns one identification, or a known model, into the other.
 
@@ -461,6 +510,7 @@ def estimate_payload(
         loaded: with the payload.
         model: see `Payload`.
         gain_std: how well the scale of all torque is known, as a share of it.
+        rest: what else is known with the payload.
 
     Raises:
         TorchidError: other base parameters in the two, or a model that does not say how sure it is.
@@ -494,7 +544,7 @@ def estimate_payload(
         empty.append(known_rows(root, root @ expected))
     torque = max(float(p.measured.abs().max()) for p in loaded.fit_predictions)
     return payload_from_evidence(
-        robot, two, tuple(empty), evidence_of(loaded), model, known, torque, gain_std
+        robot, two, tuple(empty), (*evidence_of(loaded), *rest), model, known, torque, gain_std
     )
 
 

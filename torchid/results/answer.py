@@ -87,7 +87,7 @@ class Cause(Part, frozen=True, kw_only=True):
         effect: its name, as `torchid effects` lists it; `link_inertia` of inertial parameters.
         branch: `friction`, say, where no more than that is sure; then it is the likeliest of these.
         joints: at which it acts; links, of inertial parameters; none: the whole arm.
-        sizes: its numbers.
+        sizes: its numbers, that which makes most of its torque first.
         how_sure: probability of it, or of the set with `ambiguous_with`; None where none is known.
         ambiguous_with: effects that this log cannot separate from it.
         closes: share of the error that it takes away, the mean over all orders of the causes; the
@@ -123,7 +123,7 @@ class Cause(Part, frozen=True, kw_only=True):
         return f"inertia of link {links}" if self.joints else "inertial parameters"
 
     def values(self, std: bool = True) -> str:
-        """Its numbers: `0.61 ± 0.02 N m`, `k = -1.0 ± 0.2 N m/rad, c0 = 8.8 ± 0.5 N m`, those that
+        """Its numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = -1.0 ± 0.2 N m/rad`, those that
         the model had with other values alone; where the data determine none of them, or bodies have
         none, how much of the error it removes; and of a load that its mass is not known. Without
         standard deviations the first alone."""
@@ -134,10 +134,13 @@ class Cause(Part, frozen=True, kw_only=True):
         sizes = sizes[:1] if self.effect == "payload" else sizes[:MOST_SIZES]
         if not sizes:
             return "" if math.isnan(self.closes) else f"{percent(self.closes)} of the error{end}"
-        one = len(self.sizes) == 1 or self.changed
         if not std:
             sizes = [msgspec.structs.replace(sizes[0], std=None, value=sizes[0].rounded)]
-        return ", ".join(size_words(s) if one else named_size(s) for s in sizes) + end
+        return ", ".join(map(self.in_words, sizes)) + end
+
+    def in_words(self, size: Size) -> str:
+        """One of its numbers, with its name where it has several."""
+        return size_words(size) if len(self.sizes) == 1 else named_size(size)
 
     @property
     def rivals(self) -> str:
@@ -404,7 +407,7 @@ class Answer(Part, frozen=True, kw_only=True):
 
     def suspect_words(self, cause: Cause) -> str:
         """`viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)`."""
-        sizes = [size_words(s) for s in cause.sizes[:1] if s.determined]
+        sizes = [cause.in_words(s) for s in cause.sizes[:1] if s.determined]
         inner = ", ".join([*sizes, sure(cause.how_sure)])
         return f"{cause.name} {cause.place} ({inner})".replace("  ", " ")
 
@@ -641,8 +644,10 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
         name = "inertia" if link else first.name
         text = f"{name} {'changed: ' if first.changed else ''}{first.values()}".rstrip()
         return (text + first.rivals, *end)
-    size = first.sizes[0]
-    values = ", ".join(f"{c.sizes[0].rounded:g}" for c in same)
+    # The number that carries the largest of them, of each.
+    size = max(same, key=lambda c: c.closes if c.closes == c.closes else 0.0).sizes[0]
+    numbers = [[f"{s.rounded:g}" for s in c.sizes if s.name == size.name] for c in same]
+    values = ", ".join(x for (x,) in (own or ["-"] for own in numbers))
     sizes = f"{common_name(first, same)} {size.name} = {values} {unit_behind(size.unit)}".rstrip()
     return (sizes + next((c.rivals for c in same if c.rivals), ""), *end)
 

@@ -29,6 +29,9 @@ KEYS = ("sources", "coefficients", "rows", "left", "between_sessions")
 """Of the yaml; `rows` are those of the root, numbers in a text each, and so is `left`;
 `between_sessions` has a text a coefficient, its name and a number."""
 
+ROUNDING = 1e-6
+"""Relative difference below which two columns, evaluated by two ways, are one."""
+
 NOTHING = 1e-10
 """Singular value, columns of length one, below which a direction is not known: rounding."""
 
@@ -124,6 +127,23 @@ class Knowledge:
         for link in links:
             gone += range(link * PARAMETERS_PER_LINK, (link + 1) * PARAMETERS_PER_LINK)
         return replace(self, root=self._eliminated(gone))
+
+    def merged(self, coefficients: Sequence[str], link: int) -> "Knowledge":
+        """The same of an arm whose link holds a body as well: what is known of the two together.
+
+        Args:
+            coefficients: names of the body's ten.
+            link: from 0.
+        """
+        own = [self.rigid + self.coefficients.index(name) for name in coefficients]
+        root, first = self.root.clone(), link * PARAMETERS_PER_LINK
+        body, both = root[:, own], root[:, first : first + PARAMETERS_PER_LINK]
+        # Beside their sum the body alone: rounding, where nothing but a log told of it.
+        alone = body - both
+        apart = alone.norm(dim=0) > ROUNDING * (body.norm(dim=0) + both.norm(dim=0))
+        root[:, own] = alone * apart
+        rest = [name for name in self.coefficients if name not in coefficients]
+        return replace(self, root=root).over(rest)
 
     def aged(self, variances: Mapping[str, float]) -> "Knowledge":
         """After coefficients may have changed by themselves: (information^-1 + Q)^-1.

@@ -9,6 +9,7 @@ from tests.gap.problems import measured, question_of, wanted_of
 from torchid.design.columns import Columns, Model
 from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.inertia import Payload
+from torchid.effects.spring import JointSpring
 from torchid.gap.search.climb import fit_anew
 from torchid.gap.search.evidence import comparable, fit_terms
 from torchid.gap.search.explain import Explanation
@@ -63,6 +64,20 @@ def test_a_load_is_known_no_better_than_the_body_that_carries_it(solution: Solut
 def test_links_stay_bodies(solution: Solution) -> None:
     margin = solution.model.robot.require_parameters("a test").consistency_margin()
     assert bool((margin > 0).all())
+
+
+@pytest.mark.parametrize(("k", "c0", "main"), [(-0.8, 8.9, 1), (8.9, -0.8, 0)])
+def test_the_number_shown_first_makes_most_of_the_torque(k: float, c0: float, main: int) -> None:
+    planted = JointSpring(1, 1.0)
+    data = measured([(planted, [k, c0])], noise=0.01)
+    question = question_of(data, (planted.name,), extra=[planted])
+    own = next(t for t in question.candidates.terms if t.effects == (planted,))
+    fit = fit_terms(question, [own], question.normal.rows)
+    block = block_numbers(data.samples.bounds, len(data.samples) // 40)
+    wanted = wanted_of((planted.name,))
+    columns = question.candidates.columns
+    solution = solve_terms(columns, fit.terms, fit.values(), data, wanted, block)
+    assert solution.main(0) == main
 
 
 @pytest.mark.parametrize(("a", "others"), [(2.5, set()), (3.0, {"viscous_friction"})])

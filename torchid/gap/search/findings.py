@@ -306,6 +306,7 @@ def describe_findings(
             Finding(
                 effect=own[0],
                 values=tuple(values.tolist()),
+                main=found.solution.main(fixed + k),
                 joints=_felt(found, fixed + k),
                 ambiguous_with=names,
                 std=tuple(std.tolist()),

@@ -67,6 +67,14 @@ class Solution:
         first = sum(len(v) for v in self.values[:k])
         return slice(first, first + len(self.values[k]))
 
+    def main(self, k: int) -> int:
+        """Number of the k-th term's coefficient that makes most of its torque; the first, of a
+        body, whose numbers make none apart."""
+        if any(e.inertial for e in self.terms[k].effects):
+            return 0
+        squares = self.a[self.at(k)].square().sum((1, 2))
+        return int((self.values[k].square() * squares).argmax())
+
     @cached_property
     def products(self) -> Float[Tensor, "K K"]:
         """Of the columns, joints by their weights."""

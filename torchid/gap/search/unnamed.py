@@ -169,6 +169,7 @@ def _entry(solution: Solution, k: int, place: Place, sure: float) -> UnnamedEffe
         family=effect.family,
         joints=term.joints,
         parameters=plain(dict(zip(names, values, strict=False)) | shapes),
+        main=names[solution.main(k)] if names else "",
         std=plain(dict(zip(names, std, strict=False))),
         unit={c.name: unit_of(c.unit, felt, robot) for c in coefficients},
         closes_rms=float(closes.max()),

@@ -12,6 +12,7 @@ from torchid.gap.problem import Problem
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.judge import blocks_of, refitted
 from torchid.gap.wanted import pushes_alone, start_of, wanted_of
+from torchid.identification.knowledge import whole_arm
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 
@@ -24,6 +25,7 @@ def pose(
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
     """
+    robot = whole_arm(robot)
     # Trajectories, what they repeat, and which of them are held out together.
     data, judged = read(robot, log, held_out, settings, force)
     repeats = find_repeats(data.segments)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from torchid.results.answer import Answer, Cause, LawCause, common_name, size_words
+from torchid.results.answer import Answer, Cause, LawCause, common_name
 from torchid.results.words import effect_words, listed, percent, sure
 
 CLEAR = 0.99
@@ -14,13 +14,14 @@ LEAST_STEP = 0.02
 
 
 def cause_line(cause: Cause) -> tuple[str, str, str, str]:
-    """One cause: its name, its largest number, how sure it is, and what it could also be."""
+    """One cause: its name, what makes most of its torque, how sure it is, and what else it is."""
     known = [s for s in cause.sizes if s.determined][:1]
     others = listed((effect_words(x) for x in cause.ambiguous_with), "or", most=2)
     # A word that stands at every cause says nothing.
     how_sure = "" if cause.how_sure is None or cause.how_sure > CLEAR else sure(cause.how_sure)
     name = ("changed " if cause.changed else "") + cause.name
-    size = size_words(known[0]) if known else cause.values() if isinstance(cause, LawCause) else ""
+    size = cause.values() if isinstance(cause, LawCause) else ""
+    size = cause.in_words(known[0]) if known else size
     rivals = f"could also be {others}" if cause.ambiguous_with else ""
     return name[:1].upper() + name[1:], size, how_sure, rivals
 
