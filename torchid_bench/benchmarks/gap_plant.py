@@ -22,7 +22,8 @@ from torchid.effects.coupling import GearCoupling
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.friction_laws import ThermalFrictionDrift
 from torchid.effects.registry import KINDS, Valued, effect_torque, model_torque, nominal_effects
-from torchid.effects.transient import Contact, DroppedSamples, Saturation
+from torchid.effects.spring import JointSpring, stumpff
+from torchid.effects.transient import Contact, Saturation
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters, six
@@ -139,8 +140,6 @@ def on_clock(effects: Sequence[Valued], start: float, duration: float = DURATION
             if effect.stop > start and effect.start < start + duration:
                 moved = replace(effect, start=effect.start - start, stop=effect.stop - start)
                 out.append((moved, values))
-        elif isinstance(effect, DroppedSamples):
-            out.append((replace(effect, seed=effect.seed + round(1000 * start)), values))
         else:
             out.append((effect, values))
     return out
@@ -449,6 +448,16 @@ def _link(scene: Scene, g: torch.Generator, joint: int) -> Sized:
     return _times(effect, change.tolist(), most)
 
 
+def _spring(scene: Scene, g: torch.Generator, joint: int) -> Sized | None:
+    """Towards a rest position within the travel; only a counterbalance may push."""
+    effect = JointSpring(joint, **_shapes(scene, JointSpring, g, joint))
+    rest = uniform(g, *(float(x) for x in scene.together.q[:, joint].aminmax()))
+    c, s = (float(x) for x in stumpff(torch.tensor(effect.curvature * rest**2).double()))
+    counterbalance = effect.ranges[0][0] < 0
+    way = sign(g) if counterbalance else 1.0
+    return _times(effect, [way * c, -way * rest * s]) if counterbalance or c > 0 else None
+
+
 def _saturation(scene: Scene, g: torch.Generator, joint: int) -> Sized:
     """A hard clip; what is sized is how far below the largest torque it lies."""
     top = float(scene.together.require("torque", "a limit")[:, joint].abs().max())
@@ -463,18 +472,6 @@ def _contact(scene: Scene, g: torch.Generator, joint: int) -> Sized:
     return _times(Contact(start, start + length), (force / force.norm()).tolist())
 
 
-def _dropped(scene: Scene, g: torch.Generator, joint: int) -> Sized:
-    """All of the torque is held; what is sized is the length of the windows [s]."""
-    often, seed = uniform(g, 0.5, 2.0), pick(g, 2**20)
-    return Sized(lambda s: (DroppedSamples(joint, often, s, seed), [1.0]), 0.5, 0.1)
-
-
-def _tilt(scene: Scene, g: torch.Generator, joint: int) -> Sized:
-    way = uniform(g, 0, 2 * math.pi)
-    values = [0.01 * math.cos(way), 0.01 * math.sin(way)]
-    return _times(KINDS["base_tilt"](), values, CAPS["base_tilt"] / 0.01)
-
-
 _SPECIAL: dict[str, Callable[[Scene, torch.Generator, int], Sized | None]] = {
     "power_law_friction": _power_law,
     "thermal_friction_drift": _thermal,
@@ -486,6 +483,5 @@ _SPECIAL: dict[str, Callable[[Scene, torch.Generator, int], Sized | None]] = {
     "link_inertia": _link,
     "saturation": _saturation,
     "contact": _contact,
-    "dropped_samples": _dropped,
-    "base_tilt": _tilt,
+    "joint_spring": _spring,
 }
