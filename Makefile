@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_WAIT_POLICY ?= passive
+# Tests begin many processes: each would compile all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 PYTEST := $(BIN)/python -m pytest
 TWO := -n 2 --dist loadscope --no-loadscope-reorder
@@ -35,7 +37,7 @@ test-one: $(VENV)/.dev
 test-two: $(VENV)/.dev
 	@$(PYTEST) $(QUICK) $(addprefix --ignore=,$(HALF)) | sed -u 's/^/2 | /'
 
-# What only longer tests cover: real logs, notebooks, MuJoCo plants, README and tutorial.
+# What only longer tests cover: real logs, MuJoCo plants, README and tutorial.
 test-slow: $(VENV)/.dev
 	$(PYTEST) $(TWO) -m "(slow or real) and not nightly"
 

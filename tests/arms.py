@@ -5,13 +5,16 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from tests.marks import some
 from torchid.robot.inertia import InertialParameters, six
 from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, Limits, Robot
 from torchid.robot.placement import align_z, pose, roll_pitch_yaw
 
 ISSUE_ARMS = ("3r", "kuka_lwr4", "panda", "ur10e")
-ARMS = (*ISSUE_ARMS, "mixed")
+ARMS = ("3r", "panda", "mixed", "kuka_lwr4", "ur10e")
+QUICK_ARMS = some(ARMS, slow=0, quick=3)
+"""Three kinds of arms, one with sliding joints; the others are like the first two, and nightly."""
 
 
 @lru_cache

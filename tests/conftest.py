@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import random
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 
 import jaxtyping
 import numpy as np
@@ -18,10 +19,11 @@ import pytest
 import torch
 import typer.main
 
-# Annotations, of shapes, dtypes and the rest, are checked in the packages that TORCHID_TYPES names:
-# where shapes are the subject in `make test`, in all of torchid nightly. An int is a float, as in
-# PEP 484. Elsewhere torchid is as users have it: checks make tests half as long again. Scalars are
-# imported before: they are called a million times, and have no shapes.
+# Annotations, of shapes, dtypes and the rest, are checked in the packages that TORCHID_TYPES names,
+# by the tests of these packages: where shapes are the subject in `make test`, in all of torchid
+# nightly. An int is a float, as in PEP 484. Elsewhere torchid is as users have it: checks make
+# tests half as long again. Scalars are imported before: they are called a million times, and have
+# no shapes.
 import torchid.dynamics.scalars  # noqa: F401
 
 CHECKED = os.environ.get("TORCHID_TYPES", "").split()
@@ -33,7 +35,7 @@ if CHECKED:
 # The command line is built once a process: typer would build it anew for every call.
 typer.main.get_command = cache(typer.main.get_command)
 
-from tests.arms import ARMS, arm
+from tests.arms import QUICK_ARMS, arm
 from tests.oracles import MujocoOracle, PinocchioOracle
 from torchid.robot.model import Robot
 
@@ -41,6 +43,9 @@ from torchid.robot.model import Robot
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", type=str, default="cpu", help="where the tests' tensors live")
 
+
+TYPES = "test_types_are_checked.py"
+"""The tests of the checks."""
 
 LONG = ("test_readme.py", "test_notebooks.py", "test_bad_inputs.py", "test_real_logs.py")
 """Modules of few long tests: they begin first, or one process would end long after the other."""
@@ -68,11 +73,18 @@ def types_unchecked() -> None:
     tests whose fixtures compute for long."""
 
 
+def _of_checked(item: pytest.Item) -> bool:
+    """Whether a test's subject is one of the checked packages, or the checks themselves."""
+    room = item.path.relative_to(Path(__file__).parent).parts[0]
+    return "torchid" in CHECKED or f"torchid.{room}" in CHECKED or room == TYPES
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Types are not checked in tests that ask for it, nor in their fixtures."""
+    """Types are not checked in tests of other packages and in those that ask for it, nor in their
+    fixtures."""
     before = jaxtyping.config.jaxtyping_disable
-    unchecked = "types_unchecked" in getattr(item, "fixturenames", [])
+    unchecked = "types_unchecked" in getattr(item, "fixturenames", []) or not _of_checked(item)
     jaxtyping.config.update("jaxtyping_disable", before or unchecked)
     try:
         return (yield)
@@ -86,7 +98,7 @@ def device(pytestconfig: pytest.Config) -> torch.device:
     return torch.device(pytestconfig.getoption("device"))
 
 
-@pytest.fixture(scope="session", params=ARMS)
+@pytest.fixture(scope="session", params=QUICK_ARMS)
 def robot(request: pytest.FixtureRequest) -> Robot:
     """Every arm of tests/arms.py in turn, each with inertial parameters."""
     return arm(request.param)

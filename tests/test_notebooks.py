@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from _pytest.mark import ParameterSet
+
+import torchid
 
 FOLDER = Path(__file__).parents[1] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -54,16 +55,9 @@ SAID = {
 LARGEST = 2_000_000
 """Bytes of all notebooks."""
 
-IN_CI = ("03",)
-"""A gap of torque, which identifies first; the others are nightly."""
 
-
-def _marked(path: Path) -> ParameterSet:
-    mark = pytest.mark.slow if path.stem.startswith(IN_CI) else pytest.mark.nightly
-    return pytest.param(path, marks=mark)
-
-
-@pytest.mark.parametrize("path", list(map(_marked, NOTEBOOKS)), ids=lambda path: path.stem)
+@pytest.mark.nightly
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("nbclient")
     from tests.notebooks import executed
@@ -93,6 +87,10 @@ def test_a_notebook_is_stored_with_the_outputs_of_one_run(path: Path) -> None:
     nbformat.validate(notebook)
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    for cell in code:
+        compile(cell.source, path.name, "exec")
+        for name in re.findall(r"\btorchid\.(\w+)", cell.source):
+            assert hasattr(torchid, name), name
     outputs = [output for cell in code for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     assert not any(x.output_type == "error" or x.get("name") == "stderr" for x in outputs)

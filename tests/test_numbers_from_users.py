@@ -39,7 +39,7 @@ def test_dynamics_of_any_form_are_those_of_tensors(function, form) -> None:
     call, given = getattr(torchid, function), FORMS[form](Q)
     found = call(ROBOT, given, given, given)
     assert found.dtype is torch.float64
-    assert torch.equal(found, call(ROBOT, *[tensor(Q)] * 3))
+    torch.testing.assert_close(found, call(ROBOT, *[tensor(Q)] * 3), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("function", ["inverse_dynamics", "regressor"])
@@ -50,7 +50,9 @@ def test_one_dtype_for_all_signals(function) -> None:
     for given in (tensor(Q), np.array(Q), Q):
         mixed = call(ROBOT, single, given, given)
         assert mixed.dtype is torch.float64
-        assert torch.equal(mixed, call(ROBOT, single.double(), *[tensor(Q)] * 2))
+        torch.testing.assert_close(
+            mixed, call(ROBOT, single.double(), *[tensor(Q)] * 2), rtol=1e-12, atol=1e-12
+        )
 
 
 def test_integers_are_float64() -> None:
@@ -153,8 +155,12 @@ def test_a_prediction_of_lists_keeps_all_digits() -> None:
     state = torch.sin(angle), w * torch.cos(angle), -(w**2) * torch.sin(angle)
     log = torchid.Log(t, *state[:2], tau=torchid.inverse_dynamics(ROBOT, *state))
     found = torchid.identify(ROBOT, log, settings=torchid.Settings(effects=(), cutoff=5.0))
-    assert torch.equal(found.predict(Q, Q, Q), found.predict(*[tensor(Q)] * 3))
-    assert torch.equal(found.residual(Q, Q, Q, Q), tensor(Q) - found.predict(Q, Q, Q))
+    torch.testing.assert_close(
+        found.predict(Q, Q, Q), found.predict(*[tensor(Q)] * 3), rtol=1e-12, atol=1e-12
+    )
+    torch.testing.assert_close(
+        found.residual(Q, Q, Q, Q), tensor(Q) - found.predict(Q, Q, Q), rtol=1e-12, atol=1e-12
+    )
 
 
 def test_the_helpers_keep_what_is_a_tensor() -> None:

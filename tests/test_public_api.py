@@ -144,7 +144,9 @@ def test_arrays_and_lists_are_taken_for_tensors(
     given = torch.rand(signals, 4, robot.n, dtype=torch.float64).unbind()
     wanted = function(robot, *given)
     for form in (torch.Tensor.numpy, torch.Tensor.tolist):
-        assert torch.equal(function(robot, *(form(x) for x in given)), wanted)
+        torch.testing.assert_close(
+            function(robot, *(form(x) for x in given)), wanted, rtol=1e-12, atol=1e-12
+        )
     single = function(robot, *(x.numpy().astype(np.float32) for x in given))
     assert single.dtype == torch.float64
     with pytest.raises(torchid.TorchidError, match="one column a joint"):

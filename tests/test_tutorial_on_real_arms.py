@@ -33,6 +33,7 @@ def _block(page: Path, beginning: str) -> str:
     return found
 
 
+@pytest.mark.nightly
 def test_an_arm_of_servos(so101: Shell) -> None:
     lines = _block(TUTORIAL, "torchid gap so101.urdf").strip().splitlines()
     assert len(lines) == 3
@@ -43,6 +44,7 @@ def test_an_arm_of_servos(so101: Shell) -> None:
     assert list((so101.folder / "simulator").glob("*.xml"))
 
 
+@pytest.mark.nightly
 def test_a_motion_that_tells_no_unit_is_exported(so101: Shell) -> None:
     """The first run alone says nothing of the jaw's unit, which the saved servos know."""
     so101.run("torchid export so101.yaml --log run1.parquet --to mjcf --out alone")

@@ -43,7 +43,7 @@ def test_the_withheld_cause_is_compared_with_what_was_named(command, tmp_path) -
     assert str(out / "gap.html") in " ".join(done.out.split())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_diagnosis_knows_nothing_of_the_key(tmp_path) -> None:
     """With another key the same is named, and what is withheld is not found in it."""
     files = write_files(tmp_path, 0)

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.marks import some
+
 SMALL = ("--runs", "3", "--stages", "3", "--generations", "4")
 
 
@@ -176,8 +178,7 @@ def test_from_an_identification(command, tmp_path, identified, loss):
     assert best["phi"] <= 1.05 * data["certificate"]["phi_strict"] + 1e-12
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("loss", ["two-step", "one-step"])
+@pytest.mark.parametrize("loss", some(["two-step", "one-step"], slow=1))
 def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified, loss):
     """Coefficients that no body has: the least loss of coefficients is far off in torque."""
     pytest.importorskip("clarabel")

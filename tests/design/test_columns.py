@@ -115,7 +115,7 @@ def test_the_place_is_the_joint_that_alone_feels_it(columns: Columns) -> None:
     assert tilt.shape == (2, 3, len(columns.samples))
     alone = columns.on_all_joints(TorqueGain(1))
     assert float(alone[:, [0, 2]].abs().max()) == 0
-    assert torch.equal(alone[:, 1], columns.of(TorqueGain(1))[1])
+    torch.testing.assert_close(alone[:, 1], columns.of(TorqueGain(1))[1], rtol=1e-12, atol=1e-12)
 
 
 def test_rounding_is_no_column(columns: Columns) -> None:

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from tests.effects.two_masses import INERTIA, driven, gear_torque, pendulum
+from tests.marks import some
 from torchid.design.columns import Columns, Model
 from torchid.design.resonance import Swing, swings, wiener
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -48,7 +49,7 @@ def seen(robot: Robot, log: Log) -> dict[int, Swing]:
     return swings(Columns(Model(robot, ()), data.samples), data.keep, 0.01)
 
 
-@pytest.mark.parametrize("hertz", [9.0, 14.0])
+@pytest.mark.parametrize("hertz", some([9.0, 14.0], slow=1, quick=1))
 def test_a_resonance_tells_the_compliance(tmp_path: Path, hertz: float) -> None:
     found = seen(*logged(tmp_path, hertz))
     assert set(found) == {0}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.arms import ARMS, arm
+from tests.arms import QUICK_ARMS, arm
 from tests.effects.exact_logs import closed, gap, order, smooth_motion
 from tests.oracles import PinocchioOracle
 from torchid.effects.gravity import (
@@ -20,7 +20,7 @@ from torchid.effects.registry import effect_from_record
 from torchid.errors import RobotError
 
 SMALL = 1e-4
-every_arm = pytest.mark.parametrize("name", ARMS)
+every_arm = pytest.mark.parametrize("name", QUICK_ARMS)
 
 
 @every_arm

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tests.arms import ARMS, arm, mixed_arm
+from tests.arms import QUICK_ARMS, arm, mixed_arm
 from tests.export.arms import FRICTION, exported, with_other
 from tests.marks import quick_first
 from torchid.effects.base import Motion
@@ -45,7 +45,7 @@ PAST = (
 )
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", QUICK_ARMS)
 def test_it_equals_the_library(name, tmp_path):
     robot = with_other(arm(name))
     (found,) = exported(robot, "c", tmp_path).comparisons

@@ -1,14 +1,14 @@
 """From a real log to the user's URDF: identify, extract, export, reload."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from tests.marks import some
 from tests.real_logs import FOLDER, NEEDS_LOGS
+from torchid.app.commands import app
 from torchid.robot.library import load_robot
 
 pytestmark = NEEDS_LOGS
@@ -18,9 +18,9 @@ GAINS = "14.87,13.26,11.13,10.62,11.03,11.47"
 
 
 def run(*arguments: object) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "torchid", *map(str, arguments), "--quiet"], check=True, timeout=300
-    )
+    words = [*map(str, arguments), "--quiet"]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
 
 
 @pytest.fixture(scope="module")

@@ -220,7 +220,7 @@ QUICK = ("nothing, coloured, no repeats", "nothing, too short", "payload, white"
 
 
 @pytest.mark.parametrize(
-    "name", some([*QUICK, *(n for n in LOGS if n not in QUICK)], slow=4, quick=len(QUICK))
+    "name", some([*QUICK, *(n for n in LOGS if n not in QUICK)], slow=2, quick=len(QUICK))
 )
 def test_diagnoses_keep_the_contract(name) -> None:
     broken = holds(diagnosed(name), LOGS[name][1].duration)

@@ -10,6 +10,7 @@ import pytest
 
 import torchid
 from tests.arms import single_axis
+from tests.marks import some
 
 SETTINGS = torchid.GapSettings(
     rollout=False,
@@ -128,7 +129,7 @@ def test_it_is_read_back_and_is_a_table(tmp_path):
     assert list(diagnosis.answer.friction.to_frame()["joint"]) == [1]
 
 
-@pytest.mark.parametrize("explained", [True, False])
+@pytest.mark.parametrize("explained", some([False, True], slow=1, quick=1))
 def test_a_model_that_explains_nothing_is_in_doubt_until_the_answer_says_why(explained):
     """Ten times the friction is another torque than this arm's, as of a log of another one."""
     effects = SETTINGS.effects if explained else ("rotor_inertia",)

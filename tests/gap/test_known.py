@@ -12,7 +12,7 @@ import torch
 
 import torchid
 from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
-from tests.marks import quick_first
+from tests.marks import some
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -202,7 +202,7 @@ CASES: dict[str, tuple[Robot, Robot]] = {
 
 
 @pytest.mark.parametrize(
-    "case", quick_first(["friction", *(c for c in CASES if c != "friction")], 1)
+    "case", some(["friction", "changed", "nothing", "small", "too much"], slow=2, quick=1)
 )
 def test_every_answer_is_written_read_run_again_and_agrees_with_itself(
     case: str, tmp_path: Path
@@ -261,7 +261,7 @@ def pushed(
 
 @pytest.mark.parametrize(
     ("off", "compliance"),
-    quick_first([(1.2, 0.0), (1.2, 5e-4), (1.0, 0.0), (1.0, 2e-4)], 1, several=True),
+    some([(1.2, 5e-4), (1.2, 0.0), (1.0, 0.0), (1.0, 2e-4)], slow=1, several=True),
 )
 def test_what_stands_still_and_is_pushed_is_a_contact(off: float, compliance: float) -> None:
     """Also where the arm yields, by up to 10 mrad: no spring is named for it."""

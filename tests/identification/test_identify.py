@@ -178,7 +178,7 @@ def test_errors_under_another_filter():
         identify(ROBOT, log, held_out=new, settings=replace(QUICK, error_cutoff=f))
         for f in (None, 20.0, 5.0)
     )
-    assert torch.equal(same.values, other.values)
+    torch.testing.assert_close(same.values, other.values, rtol=1e-12, atol=1e-12)
     assert bool((other.held_out.rmse > same.held_out.rmse).all())
     assert torch.allclose(explicit.fit.rmse, same.fit.rmse)
     assert torch.allclose(explicit.held_out.rmse, same.held_out.rmse)
@@ -221,7 +221,9 @@ def test_prediction_and_residual():
     got = found.predict(*motion.state)
     assert got.shape == (4, 5, 3)
     assert float((got - expected).abs().max()) < 0.05 * float(expected.abs().max())
-    assert torch.equal(found.residual(*motion.state, expected), expected - got)
+    torch.testing.assert_close(
+        found.residual(*motion.state, expected), expected - got, rtol=1e-12, atol=1e-12
+    )
     one = found.predict(*(x[1, 2] for x in motion.state))
     assert torch.allclose(one, got[1, 2])
 
@@ -380,7 +382,9 @@ def test_degrees():
 def test_a_robot_without_limits_and_parameters():
     bare = replace(ROBOT, limits=Limits(), parameters=None, effects=())
     found = identify(bare, honest(), settings=QUICK)
-    assert torch.equal(found.values, identify(ROBOT, honest(), settings=QUICK).values)
+    torch.testing.assert_close(
+        found.values, identify(ROBOT, honest(), settings=QUICK).values, rtol=1e-12, atol=1e-12
+    )
 
 
 def test_nan_is_refused():

@@ -71,8 +71,12 @@ def test_everything_prints_as_one_line(result):
 def test_predict_takes_arrays(result):
     q, dq, ddq = torch.rand(3, 5, 3, dtype=torch.float64, generator=torch.Generator())
     own = result.predict(q, dq, ddq)
-    assert torch.equal(result.predict(q.numpy(), dq.tolist(), ddq), own)
-    assert torch.equal(result.residual(q, dq, ddq, own.numpy()), torch.zeros_like(own))
+    torch.testing.assert_close(
+        result.predict(q.numpy(), dq.tolist(), ddq), own, rtol=1e-12, atol=1e-12
+    )
+    torch.testing.assert_close(
+        result.residual(q, dq, ddq, own.numpy()), torch.zeros_like(own), rtol=1e-12, atol=1e-12
+    )
     assert result.predict([0, 0, 0], [0, 0, 0], [0, 0, 0]).dtype == torch.float64
     with pytest.raises(TorchidError, match="one column a joint"):
         result.predict(q[:, :2].numpy(), dq.numpy(), ddq.numpy())

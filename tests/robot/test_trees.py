@@ -52,7 +52,7 @@ def test_positions_follow_and_poses_of_tips_are_chosen_by_name(arms: Robot):
     q = torch.tensor([0.1, -0.2, 0.3, 0.4, -0.5, 0.02], dtype=torch.float64)
     assert arms.on_links(q)[6] == pytest.approx(-2 * 0.02 + 0.01)
     finger = link_poses(arms, q)[6]
-    assert torch.equal(tool_pose(arms, q, "finger"), finger)
+    torch.testing.assert_close(tool_pose(arms, q, "finger"), finger, rtol=1e-12, atol=1e-12)
     with pytest.raises(RobotError, match="several tips") as raised:
         tool_pose(arms, q)
     assert raised.value.available == ["camera", "thumb", "finger"]
@@ -130,7 +130,9 @@ def test_a_base_that_floats_is_fixed_with_a_warning(tmp_path: Path):
         "the base",
     )
     motion = states(fixed, 10)
-    assert torch.equal(inverse_dynamics(robot, *motion), inverse_dynamics(fixed, *motion))
+    torch.testing.assert_close(
+        inverse_dynamics(robot, *motion), inverse_dynamics(fixed, *motion), rtol=1e-12, atol=1e-12
+    )
 
 
 def test_a_mimic_of_a_mimic_follows_the_last_and_one_of_nothing_moves_by_itself(tmp_path: Path):

@@ -6,7 +6,7 @@ from tests.robustness.table import COMMANDS, Table, beside
 
 pytestmark = pytest.mark.slow
 
-LONG = ("extract",)
+LONG = ("extract", "wrenches")
 """Commands whose rows take half a minute."""
 
 

@@ -39,7 +39,7 @@ def test_the_clock_of_each_window_counts() -> None:
         robot, law, start[:1], torch.ones(1, 1, dtype=torch.float64), tau[:1], 0.01, 100.0
     )
     assert float((out.dq[0, -1] - out.dq[1, -1]).abs()) > 1e-3
-    assert torch.equal(alone.dq[0], out.dq[1])
+    torch.testing.assert_close(alone.dq[0], out.dq[1], rtol=1e-12, atol=1e-12)
 
 
 def _thermal() -> dict[str, float]:
@@ -76,7 +76,7 @@ def test_sensors_are_undone_where_they_can_be(
     with_it = replace(robot, effects=(kind.record(values),))
     same = rollout(with_it, [], seen.q[:1], seen.dq[:1], seen.tau.unsqueeze(0), 1 / 500)
     assert same.ignored == out.ignored
-    torch.testing.assert_close(same.q, out.q, rtol=0, atol=0)
+    torch.testing.assert_close(same.q, out.q, rtol=1e-12, atol=1e-12)
     if undone:
         assert float((out.q[0] - seen.q).abs().max()) < 1e-4
         plain = rollout(robot, [], seen.q[:1], seen.dq[:1], seen.tau.unsqueeze(0), 1 / 500)

@@ -198,7 +198,7 @@ def test_environments_have_servos_of_their_own(tmp_path):
             together = every.torque(*given)
             alone = torch.cat([one.torque(*(x[:1] for x in given)) for one in single])
             torch.testing.assert_close(together[:2], alone)
-            assert torch.equal(together[2], together[0])
+            torch.testing.assert_close(together[2], together[0], rtol=1e-12, atol=1e-12)
     with pytest.raises(TorchidError, match="draws of other servos"):
         drawn_servos(path, Servos.neutral(2))
     path.write_text("no archive")
