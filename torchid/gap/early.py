@@ -7,9 +7,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from torchid.gap.problem import Problem
-from torchid.gap.search.climb import fit_anew
+from torchid.gap.search.climb import climb_from, fit_anew
 from torchid.gap.search.evidence import Fitted, Question
-from torchid.gap.search.explain import best_explanation
 from torchid.gap.search.terms import Term, candidates_of
 from torchid.results.answer import Answer, Cause, Size
 from torchid.robot.model import Robot, torque_unit
@@ -31,7 +30,7 @@ def first_answer(problem: Problem) -> Answer:
     parts = problem.folds.parts
     candidates = candidates_of(given, given.gap, problem.data, usual, parts, given.model, [])
     question = Question(candidates, candidates.gram.over(), problem.settings)
-    return so_far(question, best_explanation(question, ()), problem.robot)
+    return so_far(question, climb_from(question, ()), problem.robot)
 
 
 def so_far(question: Question, fit: Fitted, robot: Robot) -> Answer:

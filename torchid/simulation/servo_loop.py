@@ -65,6 +65,9 @@ MEET = 1e-6
 """Between where a piece ends and the next begins: far below what steps err by [rad]."""
 _SETTLED = 1e-8
 """Change of positions by an acceleration in a step below which it stays as it is [rad]."""
+_BOUNDS = ("coulomb", "clip", "dead_zone", "stop_low", "stop_high")
+"""Parameters that every window has its own copy of: `clamp` takes four times as long between bounds
+that all windows share."""
 _SLIGHT = 1e-6
 """Step of a finite difference [rad]."""
 
@@ -94,11 +97,11 @@ class Body:
     slope: Float[Tensor, "T n 4"] | None = None
 
     @cached_property
-    def packed(self) -> Float[Tensor, "T F"]:
-        """(T, 2 n n + 4 n) all but heights and slopes, matrices by columns: what steps need of an
-        instant is then one row, which is read many times."""
+    def packed(self) -> Float[Tensor, "F T"]:
+        """(2 n n + 4 n, T) all but heights and slopes, matrices by columns: what steps need of
+        windows' instants is then one selection."""
         fields = (self.coupling.mT, self.stiffness.mT, self.q, self.bias, self.inertia)
-        return torch.cat([x.flatten(1) for x in (*fields, self.dominance)], 1)
+        return torch.cat([x.flatten(1) for x in (*fields, self.dominance)], 1).T.contiguous()
 
     @cached_property
     def single(self) -> "Body":
@@ -655,6 +658,7 @@ class _Run:
         self.h = dt / steps
         self.last: tuple[tuple[Tensor, Tensor], Body] | None = None
         p = {name: table[..., k].contiguous() for name, k in INDEX.items()}
+        p |= {name: p[name].expand(-1, -1, len(begin)).contiguous() for name in _BOUNDS}
         self.p = p
         # Rows of the set-points, and how far behind each servo is, in samples.
         behind = p["delay"] / dt
@@ -697,6 +701,7 @@ class _Run:
             )
         }  # fmt: skip
         self.clips = bool(p["clip"].isfinite().any())
+        self.limits = -p["clip"], p["clip"]
         self.stops = bool(p["stop_low"].isfinite().any() | p["stop_high"].isfinite().any())
         # Of the stops: stiffness, damping, and what they add to the factor of w.
         self.stop = (STOP_SHARE * p["kp"]).clamp(min=STOP_STIFFNESS)
@@ -817,14 +822,14 @@ class _Run:
                 error = self._error(state, way, share).sub_(w, alpha=THETA * h)
                 state.i = torch.addcmul(state.i, p["integral"] * h, error)
                 if self.clips:  # what the servo cannot give is not summed
-                    state.i = state.i.clamp(-p["clip"], p["clip"])
+                    state.i = state.i.clamp(*self.limits)
             state.q, state.v, state.a = torch.add(state.q, w, alpha=h), v, a
 
     def _near_body(self, state: _State, body: Body, rows: Tensor, wait: float) -> _NearBody:
         """What the body is in the middle of a part of a sample, near rows of its own."""
         # Columns of matrices (n, 1, W), and the same of vectors.
         n = len(state.q)
-        parts = body.packed.index_select(0, rows).T.contiguous()[:, None].split(n)
+        parts = body.packed.index_select(1, rows)[:, None].split(n)
         coupling, stiffness = parts[:n], parts[n : 2 * n]
         near_q, bias, own, dominance = parts[2 * n :]
         # Where coupling outweighs a joint's own inertia, as much is added on both sides of the
@@ -884,7 +889,7 @@ class _Run:
         if more is not None:
             soft, stiff = soft + more, stiff + more
         moves, a = torch.empty_like(state.q), state.a
-        for _ in range(self.least if near.lacking is None else self.sweeps):
+        for left in reversed(range(self.least if near.lacking is None else self.sweeps)):
             free = _plus_product(rest, near.coupling, a, sign=-1)
             if near.lacking is not None:
                 free.addcmul_(near.lacking, a)
@@ -892,16 +897,16 @@ class _Run:
             w = (total - total.clamp(*dry)).div_(stiff)
             if self.clips:
                 torque = torch.addcmul(drive, self.gain, w, value=-1)
-                held = torque.clamp(-self.p["clip"], self.p["clip"])
+                held = torque.clamp(*self.limits)
                 total = free.add_(held)
                 slipping = (total - total.clamp(*dry)).div_(soft)
-                w = torch.where(torque == held, w, slipping)
+                w = torch.lerp(w, slipping, torch.ne(torque, held, out=held))
             v = torch.sub(w, state.v, alpha=1 - THETA).div_(THETA)
-            # What is held is at rest; numbers, as the product with truth values is slow.
+            # What is held is at rest; numbers, as to compute with truth values is slow.
             v.mul_(torch.ne(w, 0, out=moves))
             before, a = a, (v - state.v).div_(self.h)
             # Until the accelerations are those of this step.
-            if self.least > 1 and float((a - before).abs().max()) * self.h * self.h < _SETTLED:
+            if left and float((a - before).abs().max()) * self.h * self.h < _SETTLED:
                 break
         return w, v, a
 
@@ -922,9 +927,8 @@ class _Run:
 
     def _stop(self, state: _State) -> tuple[Tensor, Tensor]:
         """Torque of critically damped end stops, and what they add to the factor of w."""
-        p = self.p
-        beyond = state.q - state.q.clamp(p["stop_low"], p["stop_high"])
-        return -self.stop * beyond, torch.where(beyond != 0, self.hard, 0.0)
+        beyond = state.q - state.q.clamp(self.p["stop_low"], self.p["stop_high"])
+        return -self.stop * beyond, torch.ne(beyond, 0, out=torch.empty_like(beyond)) * self.hard
 
     def _reach(self, body: Body, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Height of the point (1, P, W) and its slopes (n, P, W), and where they were taken."""

@@ -9,6 +9,7 @@ having leaves, of several that which closes least in its turn.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import torch
 
@@ -71,18 +72,16 @@ def climb_from(question: Question, start: Sequence[Term]) -> Fitted:
     fit = drop_unphysical(question, fit_anew(question, start))
     # No explanation is visited twice, so the climb ends.
     seen = {_signature(fit)}
+    lighter = cache(partial(_lighter, question))  # asked again of what nothing is added to
     while True:
-        better = _added(question, fit) or _lighter(question, fit) or swap_term(question, fit)
+        better = _added(question, fit) or lighter(fit) or swap_term(question, fit)
         if better is None or _signature(better) in seen:
             return fit
-        fit = better
-        seen.add(_signature(fit))
         # Whatever a new term has made superfluous leaves at once.
-        lighter = _lighter(question, fit)
-        while lighter is not None and _signature(lighter) not in seen:
-            fit = lighter
+        while better is not None and _signature(better) not in seen:
+            fit = better
             seen.add(_signature(fit))
-            lighter = _lighter(question, fit)
+            better = lighter(fit)
 
 
 def drop_unphysical(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
