@@ -78,6 +78,8 @@ def test_rivals_of_one_joint_are_no_rivals_of_others():
 @pytest.mark.parametrize("value", [-1e-3, -1e-5, 0.0])
 def test_nothing_has_no_sign(value):
     assert "-0 %" not in answer(unnamed=value).headline
+
+
 def spring(joint: int, k: float, c0: float) -> Cause:
     """A counterbalance, most of whose torque is that at q = 0."""
     sizes = (
