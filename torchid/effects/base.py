@@ -119,6 +119,7 @@ class Effect(ABC):
         smooth: whether its columns differentiate the model's torque, so that it is evaluated on a
             motion that is low-passed as the rows are.
         linearised: whether its columns are a secant, taken at the field `at`.
+        over_position: whether its torque is a curve of its joint's position, whatever else moves.
         of_sensor: whether it is an error of what was measured: the log is to be corrected, and no
             simulator.
         scale_of_torque: whether it is the error of a measured torque's scale.
@@ -154,6 +155,7 @@ class Effect(ABC):
     inertial: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
     linearised: ClassVar[bool] = False
+    over_position: ClassVar[bool] = False
     of_sensor: ClassVar[bool] = False
     scale_of_torque: ClassVar[bool] = False
     of_bodies: ClassVar[bool] = False
@@ -202,6 +204,11 @@ class Effect(ABC):
         if not self.linearised or not abs(float(values[0])) > 0:
             return self
         return replace(self, at=float(values[0]))  # type: ignore[call-arg]
+
+    @property
+    def law(self) -> str:
+        """Of its joint, whose details are several effects; empty of what is a cause by itself."""
+        return "friction" if self.branch == "friction" else "position" * self.over_position
 
     @property
     def over_time(self) -> bool:

@@ -112,6 +112,7 @@ class Cogging(Wave):
     name = "cogging"
     family = "periodic"
     branch = "transmission"
+    over_position = True
     coefficients = _amplitudes("N m", "amplitude of the ripple's {}")
     shapes = _wave_number(
         0.5, 1000.0, (2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 60.0)

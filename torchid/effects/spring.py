@@ -53,6 +53,7 @@ class JointSpring(JointEffect):
     name = "joint_spring"
     family = "gravity"
     branch = "surroundings"
+    over_position = True
     essential = (0,)  # a rest torque alone is an offset
     coefficients = (
         Coefficient("k", "N m/rad", False, "stiffness at q = 0"),

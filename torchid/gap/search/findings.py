@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
 from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.periodic import Cogging
 from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
@@ -50,6 +51,9 @@ from torchid.typing import Float, Int, Tensor
 LARGE_SHARE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
 
+WAVES = 4
+"""The longest of the grid, of which a curve over a joint's position is: up to three periods."""
+
 HOPELESS_SECONDS = 3600.0
 """Seconds of the same motion beyond which only another motion can help."""
 
@@ -63,7 +67,7 @@ class Judged:
         others: what may stand there instead, one term or a pair, with the rise of the evidence.
         odds: of everything that may be there.
         at_an_end: whether its shape is at the end of its range.
-        law: the place of the friction of its joint, of which it is one term of several.
+        law: the place of the law of its joint, friction say, of which it is one term of several.
         law_sure: probability that there is any.
     """
 
@@ -121,7 +125,7 @@ class Judged:
 
     @property
     def unnamed(self) -> bool:
-        """Whether neither it, nor the friction of its joint as a whole, has a name."""
+        """Whether neither it, nor the law of its joint as a whole, has a name."""
         return not self.named and self.law_sure < LIKELY
 
     @property
@@ -147,8 +151,8 @@ class Judged:
 
 
 def _sure_of(law: Place | None, misfit: Misfit) -> float:
-    """Probability that a joint has any friction, where that is asked."""
-    return 0.0 if law is None else law.odds(misfit).sure
+    """Probability that a joint has such a law, where that is asked."""
+    return 0.0 if law is None else replace(law, free=()).odds(misfit).sure
 
 
 def _name_beside(other: Term, term: Term) -> str:
@@ -179,7 +183,7 @@ def judge_terms(
     """
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
     against = Against(question, fit, draws)
-    laws = friction_of(found, against)
+    laws = laws_of(found, against)
     out = []
     for k, term in enumerate(found.terms[:number]):
         # What the others leave, refitted.
@@ -190,9 +194,10 @@ def judge_terms(
         others = [*one, *pairs_instead(question, fit, without, term, tried)]
         own = own_torque(found.solution, fixed + k)
         rivals = rivals_of(against.asked_of(term), term, [(terms, f) for _, terms, f in others])
-        place = place_of(against, without, term, own, rivals)
-        pairs = tuple((rise, terms) for rise, terms, _ in others)
         law, ended = laws.get(k), bool(at_an_end(question, term))
+        place = place_of(against, without, term, own, rivals)
+        place = replace(place, free=() if law is None else law.free)
+        pairs = tuple((rise, terms) for rise, terms, _ in others)
         odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
         out.append(Judged(place, pairs, odds, ended, law, law_sure))
     return out
@@ -216,23 +221,36 @@ def rivals_of(
     ]
 
 
-def friction_of(found: Explanation, against: Against) -> dict[int, Place]:
-    """By the number of each term that is friction of a joint which has several: the place of all of
-    them together."""
+def laws_of(found: Explanation, against: Against) -> dict[int, Place]:
+    """By the number of each term of a law of a joint that has several: the place of all of them
+    together; of a law over position beside a smooth curve, which says whether parts are told."""
     question, fit, fixed = found.question, found.fit, len(found.question.fixed)
-    joints: dict[int, list[int]] = {}
+    laws: dict[tuple[int, str], list[int]] = {}
     for k, term in enumerate(found.terms):
-        if term.place is not None and all(e.branch == "friction" for e in term.effects):
-            joints.setdefault(term.place, []).append(k)
+        if term.place is not None and term.alone is not None and term.alone.law:
+            laws.setdefault((term.place, term.alone.law), []).append(k)
     out: dict[int, Place] = {}
-    for numbers in joints.values():
+    for (joint, name), numbers in laws.items():
         if len(numbers) > 1:
             terms = [found.terms[k] for k in numbers]
-            without = refit(question, fit, excluding(found.terms, terms), 10)
+            rest = excluding(found.terms, terms)
             own = own_torque(found.solution, *(fixed + k for k in numbers))
-            law = law_of(against, without, terms, own)
+            law = law_of(against, refit(question, fit, rest, 10), terms, own)
+            if name == "position":
+                curve = refit(question, fit, [*rest, *curve_of(question, joint)], 10)
+                law = replace(law, free=(against.free(curve, len(terms)),))
             out |= dict.fromkeys(numbers, law)
     return out
+
+
+def curve_of(question: Question, joint: int) -> list[Term]:
+    """Terms that are together any smooth torque over a joint's position: its springs and the
+    longest waves."""
+    columns = question.candidates.columns
+    grid = Cogging.grid(columns.motions, joint, columns.samples.cutoff)[:WAVES, 0].tolist()
+    own = [t for t in question.candidates.terms if t.place == joint and not t.instead]
+    springs = [t for t in own if isinstance(t.alone, JointSpring)]
+    return springs + [t for t in own if isinstance(t.alone, Cogging) and t.alone.k in grid]
 
 
 def at_an_end(question: Question, term: Term) -> tuple[str, ...]:
@@ -280,7 +298,7 @@ def describe_findings(
     question, fixed = found.question, len(found.question.fixed)
     samples = question.candidates.columns.samples
     shares, alone = taken.of_all(far.less)
-    removes = taken.of_bars(far.rms_before, far.rms_after).tolist()
+    removes = taken.of_bars(far.rms_before, far.rms_after)
     effects, parametric, undecided, rivals = [], [], [], []
     named = with_a_name(judged, shares)
     for k, (term, one) in enumerate(zip(found.terms, judged, strict=True)):
@@ -293,7 +311,7 @@ def describe_findings(
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
-            took = alone[k], tuple(removes[k]), one.branch_sure
+            took = alone[k], tuple(removes[k].tolist()), one.branch_sure
             every = shares[k], p, names, one.sure, *took
             parametric.append(Parametric(links, *every, change=_change(found, links, corrected)))
             continue
@@ -302,22 +320,25 @@ def describe_findings(
             undecided.append((term, separable))
         values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
         own = found.solution.terms[fixed + k].effects
+        # A curve over position that is none of the library's is told as the term that takes most.
+        curve = one.law is not None and bool(one.law.free)
+        parts = [i for i, x in enumerate(judged) if curve and x.law is one.law and not named[i]]
         effects.append(
             Finding(
                 effect=own[0],
                 values=tuple(values.tolist()),
                 main=found.solution.main(fixed + k),
                 joints=_felt(found, fixed + k),
-                ambiguous_with=names,
+                ambiguous_with=(*names, *(judged[i].term.name for i in parts)),
                 std=tuple(std.tolist()),
                 p_value=p,
                 how_sure=one.sure if one.named else one.law_sure,
                 one_of_a_set=one.one_of_a_set or not one.named,
-                branch_sure=max(one.branch_sure, one.law_sure),
+                branch_sure=one.branch_sure if curve else max(one.branch_sure, one.law_sure),
                 replication=replication(one.place.own, found.solution, fixed + k, samples),
-                share=shares[k],
+                share=sum(shares[i] for i in (k, *parts)),
                 alone=alone[k],
-                removes=tuple(removes[k]),
+                removes=tuple(removes[[k, *parts]].sum(0).tolist()),
                 notes=_notes(found, term, own[0], values, std),
                 common=len(own) > 1,
             )
@@ -331,19 +352,19 @@ def describe_findings(
 
 
 def with_a_name(judged: Sequence[Judged], shares: Sequence[float]) -> list[bool]:
-    """Which terms are told by name: those that are likely; and of the friction of a joint that is
-    there, while none of its terms is likely by itself, the one that takes most.
+    """Which terms are told by name: those that are likely; and of the law of a joint that is there,
+    while none of its terms is likely by itself, the one that takes most.
 
     Args:
         judged: terms.
         shares: of the error that each takes.
     """
     out = [one.named for one in judged]
-    joints: dict[int, list[int]] = {}
+    laws: dict[int, list[int]] = {}
     for k, one in enumerate(judged):
-        if one.law is not None and one.law_sure >= LIKELY and one.term.place is not None:
-            joints.setdefault(one.term.place, []).append(k)
-    for numbers in joints.values():
+        if one.law is not None and one.law_sure >= LIKELY:
+            laws.setdefault(id(one.law), []).append(k)
+    for numbers in laws.values():
         if not any(out[k] for k in numbers):
             out[max(numbers, key=lambda k: shares[k])] = True
     return out

@@ -22,6 +22,7 @@ from torchid.gap.search.evidence import (
     active_share,
     comparable,
     cost,
+    effective_samples,
     left_by,
     log_likelihood_ratio,
 )
@@ -121,6 +122,7 @@ class Place:
         own: torque of it that no other term makes.
         instead: nothing, and rivals.
         draws: logs that might have been.
+        free: a curve that is no effect of the library, in the place of its joint's law; or none.
     """
 
     question: Question
@@ -129,6 +131,7 @@ class Place:
     own: OwnTorque
     instead: tuple[Rival, ...]
     draws: Draws
+    free: tuple[Alternative, ...] = ()
 
     def odds(self, misfit: Misfit) -> Odds:
         """Of all, and of something unknown, beside a misfit that the model leaves."""
@@ -136,9 +139,10 @@ class Place:
         beyond = -math.inf
         if not question.shows(term):
             beyond = unknown(question, self.fits, self.own, term, misfit)
-        weights = [*(r.weight for r in self.instead), (None, beyond)]
+        weights = [*(r.weight for r in self.instead), (None, beyond), *self.free]
         sure, nothing, *others = bagged(weights, self.draws, [r.beside for r in self.instead])
-        return Odds(sure, nothing, others.pop(), tuple(others))
+        known = len(self.instead) - 1
+        return Odds(sure, nothing, sum(others[known:]), tuple(others[:known]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,17 +192,27 @@ class Against:
         now, then = comparable(question, self.fit, other)
         if then.evidence == -math.inf:
             return None, -math.inf
-        effective = now.effective * self._share
-        ratio = log_likelihood_ratio(effective, self._squares, self._squares_of(other))
+        ratio = self._ratio(other, now.effective)
         mine, its = (cost(question, question.own(f), now.effective, EXPECTED) for f in (now, then))
         # The friction of a joint is one law, in how many terms ever; all else is several causes.
         one_law = all(e.branch == "friction" for t in terms for e in t.effects)
         more = max(len(terms) - 1, 0) * question.price(EXPECTED) if one_law else 0.0
-        return ratio.sum(1) - (then.known - now.known), mine - its + more
+        return ratio - (then.known - now.known), mine - its + more
+
+    def free(self, curve: Fitted, instead: int) -> Alternative:
+        """Of a fit with a curve in the place of several terms, whose coefficients cost nothing and
+        have no limits: it is one cause."""
+        question = self.question
+        ratio = self._ratio(curve, effective_samples(question, curve, self.fit))
+        return ratio, (instead - 1) * question.price(EXPECTED)
+
+    def _ratio(self, other: Fitted, effective: Float[Tensor, " n"]) -> Float[Tensor, " M"]:
+        squares = self._squares, self._squares_of(other)
+        return log_likelihood_ratio(effective * self._share, *squares).sum(1)
 
 
 def law_of(against: Against, without: Fitted, terms: Sequence[Term], own: OwnTorque) -> Place:
-    """The place of the friction of a joint, in several terms: one law, which is there or not."""
+    """The place of a law of a joint, in several terms: one law, which is there or not."""
     place = place_of(against, without, terms[0], own)
     # However many terms it has, it is one cause.
     gain, paid = place.instead[0].weight
