@@ -19,8 +19,8 @@ pytestmark = pytest.mark.usefixtures("types_unchecked")
 
 
 def term(place, sure, law_sure=0.0):
-    """A judged term of a joint; of a friction law of several where that is likely."""
-    law = object() if law_sure else None
+    """A judged term of a joint; of the joint's law of several where that is likely."""
+    law = f"law of joint {place}" if law_sure else None
     named = sure >= 0.5
     return SimpleNamespace(
         named=named, law=law, law_sure=law_sure, term=SimpleNamespace(place=place)

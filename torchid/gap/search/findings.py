@@ -360,10 +360,10 @@ def with_a_name(judged: Sequence[Judged], shares: Sequence[float]) -> list[bool]
         shares: of the error that each takes.
     """
     out = [one.named for one in judged]
-    laws: dict[int, list[int]] = {}
+    laws: dict[Place, list[int]] = {}
     for k, one in enumerate(judged):
         if one.law is not None and one.law_sure >= LIKELY:
-            laws.setdefault(id(one.law), []).append(k)
+            laws.setdefault(one.law, []).append(k)
     for numbers in laws.values():
         if not any(out[k] for k in numbers):
             out[max(numbers, key=lambda k: shares[k])] = True
