@@ -89,17 +89,24 @@ def said(
     )
 
 
-def with_choices(check: Check, choices: Sequence[Choice], fixes: Collection[str]) -> Check:
-    """A check with one fix, or with several of which `fixes` may choose."""
-    if len(choices) < 2:
+def with_choices(
+    check: Check, choices: Sequence[Choice], fixes: Collection[str], *, sure: bool = True
+) -> Check:
+    """A check with one fix, applied only by its name in `fixes` where it is not sure, or with
+    several of which `fixes` may choose."""
+    if len(choices) < 2 and sure:
         return replace(check, fix=choices[0].fix, repairs=choices[0].repairs)
     chosen = next((c for c in choices if c.name in fixes), None)
     taken = chosen or choices[0]
-    every = "; or ".join(f"{c.name}: {c.fix}" for c in choices)
+    if len(choices) > 1:
+        every = "; or ".join(f"{c.name}: {c.fix}" for c in choices)
+        ask = f"choose, the log cannot tell: {every}"
+    else:
+        ask = f'{taken.fix}, if so: --fix "{taken.name}"'
     return replace(
         check,
-        fix=taken.fix if chosen else f"choose, the log cannot tell: {every}",
-        repairs=taken.repairs,
+        fix=taken.fix if chosen else ask,
+        repairs=taken.repairs if chosen or len(choices) > 1 else (),
         choices=tuple(choices),
         chosen=chosen.name if chosen else None,
     )

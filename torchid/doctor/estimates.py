@@ -171,9 +171,10 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
         return judged("lag", "cannot tell", "nothing moves with a torque")
     end = result.final.hypothesis
     searched = [f for f in result.found if f.move.kind == "lag"]
-    text = (
-        f"torque is {1e3 * lag.value:.1f} ms late ({1e3 * lag.low:.1f} to {1e3 * lag.high:.1f} ms)"
-        + ("; a loop over position explains more than a lag" if judge.samples.loop else "")
+    sign, word = (1e3, "late") if lag.value >= 0.0 else (-1e3, "early")
+    low, high = sorted((sign * lag.low, sign * lag.high))
+    text = f"torque is {sign * lag.value:.1f} ms {word} ({low:.1f} to {high:.1f} ms)" + (
+        "; a loop over position explains more than a lag" if judge.samples.loop else ""
     )
     check = said("lag", "fine", estimate=lag.value, interval=(lag.low, lag.high), text=text)
     late = _lateness(judge, result, lag)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from torchid.doctor.check import Check, Choice, judged, said, with_choices
-from torchid.doctor.hypothesis import Judge, factors_of, profile
-from torchid.doctor.moves import FAULTS, Move, invisible_groups, least_groups
+from torchid.doctor.hypothesis import Hypothesis, Judge, factors_of, profile
+from torchid.doctor.moves import FAULTS, TENTH, Move, invisible_groups, least_groups
 from torchid.doctor.record import Verdict
 from torchid.doctor.repair import MappedColumns
 from torchid.doctor.search import Found, Search
-from torchid.doctor.size import nominal_loss
+from torchid.doctor.size import nominal_loss, nominal_slopes
 from torchid.robot.model import joint_list
 from torchid.statistics.criteria import CLEAR_GAIN, LEAST_GAIN, TOLD
 
@@ -55,6 +55,8 @@ def unseen_faults(judge: Judge, result: Search) -> list[Check]:
             mirrored = invisible_groups(judge.robot, result.final.hypothesis.gravity)
             least = [tuple(sorted(g)) for g in least_groups(mirrored)]
             groups = [*(g for g in groups if len(g) == 1), *(g for g in least if len(g) > 1)]
+        if kind == "gain":
+            groups = [(k,) for k in _of_any_size(judge, result)]
         told = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
         if not told:
             continue
@@ -63,6 +65,17 @@ def unseen_faults(judge: Judge, result: Search) -> list[Check]:
         joints = sorted({k for g in groups for k in g})
         out.append(said(f"unseen {kind}", "cannot tell", " or of ".join(told), joints=joints))
     return out
+
+
+def _of_any_size(judge: Judge, result: Search) -> list[int]:
+    """Joints whose torque bodies explain about as well ten times as large or as small, and of whose
+    size nominal parameters say nothing."""
+    end, weights = result.final.hypothesis, result.final.fit.weights
+    known = nominal_slopes(judge, end).joints if judge.robot.parameters else ()
+    some = [k for k in judge.live(end) if k not in known] if len(judge.live(end)) > 1 else []
+    sizes = {k: [end.scaled((k,), tau=math.exp(x)) for x in (TENTH, -TENTH)] for k in some}
+    most = result.final.loss + CLEAR_GAIN
+    return [k for k in some if min(judge.score(h, weights).loss for h in sizes[k]) < most]
 
 
 def _explained(result: Search, live: Sequence[int]) -> Check:
@@ -129,12 +142,13 @@ def _check(
         own |= {"estimate": factor}
     rivals = ", ".join(_name(r) for r in found.rivals)
     text = first + improvement_text(found) + (f"; as good: {rivals}" if rivals else "")
-    doubtful = fault.modelled and _nominal_objects(judge, found)
-    if doubtful:
+    objects = fault.modelled and _nominal_objects(judge, found)
+    if objects:
         text += "; the robot's own parameters do not confirm it"
+    doubtful = objects or not found.needed
     verdict: Verdict = "cannot tell" if unsure else "doubtful" if doubtful else "wrong"
     check = judged(fault.check, verdict, f"{_name(move)}: {text}{last}", **own)
-    return check if unsure else with_choices(check, choices, fixes)
+    return check if unsure else with_choices(check, choices, fixes, sure=not doubtful)
 
 
 def _nominal_objects(judge: Judge, found: Found) -> bool:
@@ -142,8 +156,24 @@ def _nominal_objects(judge: Judge, found: Found) -> bool:
     witnesses, for free bodies find more than one way to explain a slow or narrow motion."""
     if judge.robot.parameters is None or not judge.robot.parameters.pi.any():
         return False
+    if found.move.kind == "gain":
+        # Of every size it explains as much: mended, it is nearer to the other joints' size.
+        (joint,) = found.move.joints
+        before, after = (_odd_size(judge, h, joint) for h in (found.move.before, found.move.after))
+        return not after < before
     gain = nominal_loss(judge, found.move.before) - nominal_loss(judge, found.move.after)
     return gain < CLEAR_GAIN
+
+
+def _odd_size(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:
+    """Logarithm of the factor between one joint's torque over nominal torque and the others'
+    median; infinite where either is not clear."""
+    slopes = nominal_slopes(judge, hypothesis)
+    own = np.array(slopes.joints) == joint
+    others = slopes.value[slopes.clear & ~own]
+    if not (slopes.clear & own).any() or not len(others):
+        return math.inf
+    return abs(math.log(float(slopes.value[own][0] / np.median(others))))
 
 
 def choices_of(found: Found) -> list[Choice]:
@@ -168,7 +198,7 @@ def gravity_fix(gravity: Sequence[float] | np.ndarray) -> str:
 def improvement_text(found: Found) -> str:
     """What mending does to the error of the joints it matters to most, held out."""
     ratio = found.before / found.after
-    worst = [int(k) for k in np.argsort(-ratio)[:3] if ratio[k] > 1.1]
+    worst = [int(k) for k in np.argsort(-ratio)[:3] if found.helped[k]]
     changes = ", ".join(
         f"joint {k + 1} {100 * found.before[k]:.0f} % -> {100 * found.after[k]:.1f} %"
         for k in worst

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from torchid.doctor.check import TEXTS, Check
 from torchid.doctor.examine import FILE, LEAST_SAMPLES, Examination, examine
 from torchid.doctor.kind import holds_no_gravity
-from torchid.doctor.moves import FAULTS
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.results.words import short
 from torchid.robot.model import Robot, joint_list
-from torchid.statistics.criteria import EXPLAINED
 
 DECISIVE = tuple(name for name, texts in TEXTS.items() if texts.get("decisive"))
 """Checks of faults for which no effect stands."""
@@ -89,7 +87,8 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
     odd = [c for c in odd if c.verdict == "wrong" or c.name not in _EXPLAINABLE]
     # A load makes torque of any size; of a thousandth or a hundredth of its unit it is still told.
     odd = [c for c in odd if c.repairs or not (loaded and c.name == "torque unit")]
-    wrong = [c for c in odd if _stops(c, found)]
+    # A model is wrong by any factor, a unit by its own.
+    wrong = [c for c in odd if c.verdict == "wrong" and (c.repairs or c.name != "torque unit")]
     if wrong and not force:
         raise WrongLogError(found, wrong)
     odd.sort(key=lambda c: c not in wrong)
@@ -100,24 +99,6 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
         return Doubts(warnings=notes)
     text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
     return Doubts(text, notes, bool(wrong))
-
-
-def _stops(check: Check, found: Examination) -> bool:
-    """Whether a fault is sure, and none that an effect or a wrong model could stand for: what the
-    search found, where bodies explain the torque badly without."""
-    if check.verdict != "wrong":
-        return False
-    if check.name == "torque unit":  # a model is wrong by any factor, a unit by its own
-        return bool(check.repairs)
-    by_search = {fault.check for fault in FAULTS.values()}
-    if check.name not in by_search or found.search is None:
-        return True
-    return any(
-        FAULTS[f.move.kind].check == check.name
-        and f.move.joints == check.joints
-        and f.before.max() > EXPLAINED
-        for f in found.search.found
-    )
 
 
 def _in_short(check: Check) -> str:

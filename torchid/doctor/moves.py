@@ -19,7 +19,8 @@ from torchid.statistics.criteria import EXPLAINED, LEAST_GAIN, TOLD
 
 LAGS = (-0.2, -0.1, -0.05, -0.025, 0.025, 0.05, 0.1, 0.2)
 """How late torque may be [s]; what lies between is found afterwards."""
-GAINS = tuple(math.log(10.0) * x for x in (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0))
+TENTH = -math.log(10.0)
+GAINS = tuple(-TENTH * x for x in (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0))
 """Logarithms of the factors tried first."""
 DEGREE = math.pi / 180.0
 ZEROS = (math.pi / 2, -math.pi / 2, math.pi)
@@ -272,7 +273,9 @@ FAULTS = {
         "position order", "position columns exchanged among", q=True, tau=False
     ),
     "gravity": TorqueFault(None, "another direction of gravity", _gravities),
-    "gain": TorqueFault("gain of a joint", "torque of another size in", _gains),
+    "gain": TorqueFault(
+        "gain of a joint", "torque of another size in", _gains, modelled=True, hides=True
+    ),
     "lag": TorqueFault(None, "torque late or early", _lags),
     "position unit": TorqueFault(
         "position unit, by torque", "positions in another unit, or on the motors' side, in", _units

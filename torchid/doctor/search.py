@@ -7,11 +7,19 @@ import numpy as np
 
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
 from torchid.doctor.moves import Group, Move, all_moves, alternatives, invisible_groups, joint_sign
-from torchid.statistics.criteria import AGREEING_BLOCKS, CLEAR_GAIN, TIED_GAIN, UNEXPLAINED
+from torchid.statistics.criteria import (
+    AGREEING_BLOCKS,
+    CLEAR_GAIN,
+    EXPLAINED,
+    TIED_GAIN,
+    UNEXPLAINED,
+)
 
 _LOOK = CLEAR_GAIN + 0.1
 """Moves that are not worse by more with another fit's weights are fitted properly."""
 FINALISTS = 5
+HELPED = 1.1
+"""Ratio of errors from which on a fault's mending has helped a joint."""
 MOST_FAULTS = 6
 
 
@@ -33,6 +41,17 @@ class Found:
     gain: float
     blocks: tuple[int, int]
     rivals: tuple[Move, ...]
+
+    @property
+    def helped(self) -> np.ndarray:
+        """(n,) whether mending lowers the error of each joint."""
+        return self.before > HELPED * self.after
+
+    @property
+    def needed(self) -> bool:
+        """Whether bodies explain a joint that it helps badly without it: of what they explain
+        well, the arm's own gears and friction make as much."""
+        return bool(self.before[self.helped].max(initial=0.0) > EXPLAINED)
 
 
 @dataclass(frozen=True)
@@ -142,12 +161,12 @@ def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[Found, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
-    clear = [m for cost, m in costs if cost < -CLEAR_GAIN]
+    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN]
     tried = []
-    for m in clear[:FINALISTS]:
+    for cost, m in clear[:FINALISTS]:
         errors = judge.held_out(m.after)
         gains = _log(held) - _log(errors)
-        tried.append((_loss(errors), m, errors, gains))
+        tried.append((_loss(errors), m, errors, gains, cost))
     if not tried:
         return None
     tried.sort(key=lambda x: x[0])
@@ -156,12 +175,14 @@ def _best(
     # every joint; one that is its own mirror image moves alike with q or with tau negated.
     tied = [x for x in tried if x[0] < tried[0][0] + TIED_GAIN]
     tied.sort(key=lambda x: (x[1].name not in fixes, len(x[1].joints), x[1].changes))
-    loss, move, errors, gains = tied[0]
+    loss, move, errors, gains, cost = tied[0]
     gain = _loss(held) - loss
     agreeing, judged = int((gains > 0).sum()), int(np.isfinite(held).any(1).sum())
     if gain < CLEAR_GAIN or agreeing < AGREEING_BLOCKS * judged:
         return None
-    rivals = tuple({m.name: m for _, m, _, _ in tied if m.name != move.name}.values())
+    # Nor is one told from another that is better in sample and not clearly worse held out.
+    tied += [x for x in tried if x[0] < loss + CLEAR_GAIN and x[-1] < cost]
+    rivals = tuple({x[1].name: x[1] for x in tied if x[1].name != move.name}.values())
     before, after = rms(held), rms(errors)
     return Found(move, before, after, gain, (agreeing, judged), rivals), errors
 

@@ -165,15 +165,15 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
             repair = scaled(("tau",), (1.0 / factor,) * judge.robot.n)
             named = replace(base, verdict=verdict, evidence=f"{text}: {name}")
             return named.mended_by(repair)
-    single = apart or len(set(hypothesis.tau.factors)) > 2
+    single = apart or len(set(map(abs, hypothesis.tau.factors))) > 2
     text += (
         ": of each joint another size: motors' torque before their gears, or currents"
         if single
-        else ": a gain, a gear ratio, or another robot's parameters"
+        else ": a gain, a gear ratio, a load, or another robot's parameters"
     )
     own = ",".join(f"{f / overall:.4g}" for f in hypothesis.tau.factors)
-    fix = f'{_CHECK_GAINS}; together they are about `columns="tau=tau{{j}} *[{own}]"`'
-    return replace(base, verdict=verdict, evidence=text, fix=fix)
+    together = f'; together they are about `columns="tau=tau{{j}} *[{own}]"`' if single else ""
+    return replace(base, verdict=verdict, evidence=text, fix=_CHECK_GAINS + together)
 
 
 def _against_limits(judge: Judge, log: Log, fixes: Collection[str]) -> Check | None:

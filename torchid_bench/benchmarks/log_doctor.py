@@ -71,25 +71,33 @@ def main() -> None:
     every = made(arguments.arms, arguments.seeds) if arguments.arms else logs(arguments.folder)
     found = {k: v for k, v in every.items() if arguments.logs in k}
     torch.set_num_threads(1)
-    _clean_ones(found)
+    lags = _clean_ones(found)
     print(f"{'fault':32s} planted found other | log mended undecided made worse")
     for fault, plant in FAULTS.items():
         if any(word in fault for word in arguments.only.split(",")):
-            _planted_ones(fault, plant, found, 1 if arguments.arms else arguments.seeds)
+            _planted_ones(fault, plant, found, lags, 1 if arguments.arms else arguments.seeds)
 
 
-def _clean_ones(found: dict[str, tuple[Robot, Log]]) -> None:
-    alarms, start = 0, time.process_time()
+def _clean_ones(found: dict[str, tuple[Robot, Log]]) -> dict[str, float]:
+    """A line for each log, and how late its torque is as it stands [s]."""
+    alarms, start, lags = 0, time.process_time(), {}
     for name, (robot, log) in found.items():
-        said = [f"{c.name} ({c.verdict})" for c in _said(examine(robot, log))]
+        result = examine(robot, log)
+        lags[name] = next((c.estimate or 0.0 for c in result.checks if c.name == "lag"), 0.0)
+        said = [f"{c.name} ({c.verdict})" for c in _said(result)]
         alarms += bool(said)
         print(f"clean {name}: {', '.join(said) or 'silent'}", flush=True)
     took = (time.process_time() - start) / max(1, len(found))
     print(f"clean logs with an alarm: {alarms} of {len(found)}, {took:.1f} s of CPU a log\n")
+    return lags
 
 
 def _planted_ones(
-    fault: str, plant: Fault, found: dict[str, tuple[Robot, Log]], seeds: int
+    fault: str,
+    plant: Fault,
+    found: dict[str, tuple[Robot, Log]],
+    lags: dict[str, float],
+    seeds: int,
 ) -> None:
     """A line of the table, and below it whatever was not found or was said besides."""
     hits, others, lines, mended = [], [], [], Counter()
@@ -97,9 +105,13 @@ def _planted_ones(
         planted = plant(robot, log, np.random.default_rng([seed, zlib.crc32(name.encode())]))
         if planted is None:
             continue
+        if "lag" in planted.names:
+            planted = planted.on_top_of(lags[name])
         result = examine(planted.robot, planted.log)
         hits.append(planted.found(result.checks))
-        others.append(any(c.name not in planted.names for c in _said(result)))
+        others.append(
+            any(c.name not in planted.names and not planted.chooses(c) for c in _said(result))
+        )
         outcome = _outcome(log, result)
         mended[outcome] += 1
         if others[-1] or not hits[-1] or outcome == "worse":
@@ -118,7 +130,8 @@ def _outcome(clean: Log, result: Examination) -> str:
     """What the repairs that are applied make of a log: mended where each column is within 30 % of
     the clean one's (of its spread, at the same time), worse where they leave one that is not."""
     if not result.repairs:
-        return "undecided" if result.undecided else "untouched"
+        left = any(c.choices and c.chosen is None for c in result.checks)
+        return "undecided" if left else "untouched"
     made = result.mended()
     for signal, own in made.signals.items():
         if signal not in clean.signals:

@@ -36,7 +36,21 @@ class Planted:
         """Whether a check that may name the fault does, on the right joints."""
         return any(self._names(c) for c in checks if c.verdict in ("wrong", "doubtful"))
 
+    def on_top_of(self, size: float) -> "Planted":
+        """The same, planted in a log that has some of it already."""
+        assert self.estimate is not None
+        whole = self.estimate + size
+        return replace(self, estimate=whole, tolerance=self.tolerance * abs(self.estimate / whole))
+
+    def chooses(self, check: Check) -> bool:
+        """Whether it is among what a check leaves to choose."""
+        joints = ",".join(str(k + 1) for k in self.joints or ())
+        parts = [c.name.rpartition(" ") for c in check.choices]
+        return any(own == joints and kind in name for kind, _, own in parts for name in self.names)
+
     def _names(self, check: Check) -> bool:
+        if self.chooses(check):
+            return True
         if check.name not in self.names:
             return False
         if self.joints is not None and set(check.joints) != set(self.joints):
