@@ -38,8 +38,8 @@ class CheckRecord(Part, frozen=True):
         fix: what to do, for people; None where nothing.
         applicable: whether it has repairs that wait for no choice.
         choices: explanations that are equally good, where there are several; the checks that come
-            after go on with the first, or with the chosen one. A single one is not sure enough to be
-            applied unless it is chosen.
+            after go on with the first, or with the chosen one. A single one is not sure enough to
+            be applied unless it is chosen.
         chosen: name of the one that was chosen, by somebody or because bodies explain the torque
             clearly better with it.
     """
