@@ -1,6 +1,7 @@
 """The answered model of an arm's servos: what the search finds, and what each effect is worth
 there."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -8,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
-from torchid.position.file_servos import Worth, beside_file, weighing_otherwise
+from torchid.position.file_servos import Followed, Worth, beside_file, weighing_otherwise
 from torchid.position.payload import Loaded, with_load
 from torchid.position.problem import Problem
 from torchid.position.record import error_words
@@ -17,6 +18,7 @@ from torchid.position.search import (
     SingleEffects,
     best_single_effect_per_joint,
     full,
+    plain,
     settled,
     with_usual_effects,
 )
@@ -28,6 +30,8 @@ from torchid.typing import Bool, Float
 
 Say = Callable[[str], None]
 """Hears which stage begins."""
+ANCHORS = ("kp", "armature", "offset")
+"""Numbers of a file beside which a load is sought: free, they make up for most of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +112,7 @@ def best_answer(
     these are begun with where they are nearer than plain ones.
     """
     say("one effect at a time")
+    given, problem = problem, _weighing_as_log(problem)
     few, squares = problem.few, problem.squares
     begun, single, file = problem.simple, None, problem.file
     first = begun if file is None else file.model
@@ -120,16 +125,21 @@ def best_answer(
     if single is None or not bool((single.explained | problem.data.still).all()):
         single = best_single_effect_per_joint(few, begun, early)
         say("a load")
-        loaded, single, others = _or_a_load(few, begun, single)
+        loaded, single, others = _or_a_load(few, begun, single, file)
         if not bool(single.explained.all()):
             several = full(few, say)
             several = _no_worse(few, begun, several)
             several = _no_worse(few, single.model, several)
             single = replace(single, model=with_usual_effects(few, several))
-            loaded = with_load(few, single.model) if few.data.weighed else None
+            loaded = _with_load(few, single.model, file)
     say("what each effect is worth")
     motions, model = few, settled(few, single.model)
     worth, rivals = Worth(), Rivals()
+    if problem is not given:
+        worth[GRAVITY.name] = (
+            given.few.losses(given.simple.servos),
+            few.losses(problem.simple.servos),
+        )
     if loaded is not None:
         losses = (few.losses(model.servos), loaded.motions.losses(loaded.model.servos))
         gain = few.each((losses[0] - losses[1]).sum(1, keepdim=True))
@@ -149,7 +159,49 @@ def best_answer(
     servos, searched = file.model.servos, answered.rivals
     model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
     rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
+    # What follows no better than the file's servos is no reason for others.
+    near = file.model.losses(motions) - model.losses(motions) < motions.slight
+    model, by_file = model.joined(file.model, near), by_file | near
+    for name in worth.keys() - {GRAVITY.name, PAYLOAD.name}:
+        if BY_NAME[name].parameters:
+            worth[name] = worth[name][0].masked_fill(near, torch.nan), worth[name][1]
+    worth = {name: losses for name, losses in worth.items() if bool(losses[0].isfinite().any())}
     return replace(answered, model=model, worth=worth, rivals=rivals, by_file=by_file)
+
+
+def _weighing_as_log(problem: Problem) -> Problem:
+    """The question, of an arm whose servos feel gravity where those of its file do not, or the other
+    way round, where that closes much of what gains of any size leave, and what the file's do."""
+    data, moves = problem.data, ~problem.data.still
+    if problem.file is None or not data.weighed or not bool(data.robot.gravity.any()):
+        return problem
+    data = weighing_otherwise(data)
+    few, more = (replace(x, data=data) for x in (problem.few, problem.more))
+    other = replace(problem, data=data, few=few, more=more, simple=plain(few))
+    assert other.file is not None
+    pairs = (problem.file.model, other.file.model), (problem.simple, other.simple)
+    falls = [(a.losses(problem.few) / b.losses(few)).log()[moves].mean() for a, b in pairs]
+    return other if min(map(float, falls)) > math.log(ALIKE_LOSS) else problem
+
+
+def _with_load(few: Motions, model: ServoModel, file: Followed | None) -> Loaded | None:
+    """A load beside servos, whose torques are in the scale of the file's gains and inertias where
+    that follows as well."""
+    if not few.data.weighed:
+        return None
+    load = with_load(few, model)
+    if file is None:
+        return load
+    anchored = model.joined(file.model, few.every, ANCHORS)
+    anchored = replace(anchored, free={k: v for k, v in model.free.items() if k not in ANCHORS})
+    scaled = with_load(few, anchored.fitted(few, 3))
+    if scaled is None or (load is not None and _left(scaled) > ALIKE_LOSS * _left(load)):
+        return load
+    return replace(scaled, model=replace(scaled.model, free=model.free))
+
+
+def _left(load: Loaded) -> float:
+    return float(load.model.losses(load.motions).sum())
 
 
 def _beside_file_servos(
@@ -168,12 +220,12 @@ def _beside_file_servos(
 
 
 def _or_a_load(
-    few: Motions, simple: ServoModel, single: SingleEffects
+    few: Motions, simple: ServoModel, single: SingleEffects, file: Followed | None
 ) -> tuple[Loaded | None, SingleEffects, tuple[str, ...]]:
     """A load with single effects beside it, where that explains the motions better than single
     effects alone; and names of what explains them as well."""
     enough = bool((simple.losses(few) <= few.slight).all())
-    load = None if enough or not few.data.weighed else with_load(few, simple)
+    load = None if enough else _with_load(few, simple, file)
     if load is None:
         return None, single, ()
     # One cause of what all joints show, where no more is needed, comes before several.

@@ -256,8 +256,8 @@ def missing_commands(log: Log) -> tuple[str, ...]:
 def rates(
     q: Float[Tensor, "T n"], tracks: Tracks, follows: Bool[Tensor, " m"]
 ) -> Float[Tensor, "T n"]:
-    """Velocity from a while before to as long after, 0 for a joint at rest, and where a recording
-    begins or ends [rad/s].
+    """Velocity by a cubic from a while before to as long after, for a fast motion turns within that
+    time; 0 for a joint at rest, and where a recording begins or ends [rad/s].
 
     Args:
         q: positions.
@@ -266,10 +266,15 @@ def rates(
     """
     dq, k = torch.zeros_like(q), max(1, round(RATE_S / 2 / tracks.dt))
     dq[k:-k] = (q[2 * k :] - q[: -2 * k]) / (2 * k * tracks.dt)
+    rests = dq.abs() < STILL
+    if k > 1:
+        x = torch.arange(-k, k + 1, dtype=q.dtype)
+        powers = x[:, None] ** torch.arange(4)
+        dq[k:-k] = q.unfold(0, 2 * k + 1, 1) @ torch.linalg.pinv(powers)[1] / tracks.dt
     first, last = tracks.first[~follows], tracks.last[~follows.roll(-1)]
     for i in range(k):
         dq[torch.cat([first + i, last - i]).clamp(0, len(q) - 1)] = 0.0
-    return torch.where(dq.abs() < STILL, 0.0, dq)
+    return dq.masked_fill(rests, 0.0)
 
 
 def _thinned(log: Log, tracks: Tracks) -> tuple[Log, Tracks]:

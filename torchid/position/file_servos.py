@@ -7,7 +7,7 @@ well with it.
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -127,7 +127,8 @@ def beside_file(
         two = one if scaled is held else motions.losses(scaled.servos)
         # Where the gain is the file's, another one is no way to keep the file's number.
         without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
-        needed = asked & _needed(motions, whole, without, squares)
+        needed = asked & _differs(motions, model, file, names)
+        needed &= _needed(motions, whole, without, squares)
         either = needed & by_file & ~_needed(motions, whole, two, squares)
         for j in torch.nonzero(either).flatten().tolist():
             rivals[effect.name, j] = (GAINS[0].name,)
@@ -139,6 +140,15 @@ def beside_file(
         worth[effect.name] = named, with_it
     worth = {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
     return model, by_file, worth, rivals
+
+
+def _differs(
+    motions: Motions, model: ServoModel, file: Servos, names: Sequence[ServoParameter]
+) -> Bool[Tensor, " n"]:
+    """Joints on which a number is not the file's; of a delay by what no row of a log hides."""
+    hidden = [0.5 * motions.data.tracks.dt * (p.name == "delay") for p in names]
+    apart = [(model.servos.of(p.name) - file.of(p.name)).abs() for p in names]
+    return torch.stack([x > y for x, y in zip(apart, hidden, strict=True)]).any(0)
 
 
 def _needed(

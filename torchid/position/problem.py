@@ -1,6 +1,7 @@
 """What a diagnosis of commands and positions is asked: motions, windows of them, and what a plain
 servo and the robot's file leave there."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,12 +19,16 @@ from torchid.position.rods import PER_METRE
 from torchid.position.search import plain
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.robot.model import Robot
-from torchid.simulation.servo_loop import Windows, windows_of
-from torchid.statistics.criteria import WORTHWHILE
+from torchid.simulation.servo_loop import MIDDLE, Windows, jumps, windows_of
+from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Float
 
 MOST_WINDOWS = 250
 """That a search looks at [1]: more do not change what it finds, only how long it takes."""
+
+JUMP_S, PLACES = 0.3, (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Time after a jump of the commands that tells when it was [s]; and when it may have been [samples
+after the row before]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +88,37 @@ def pose(
     if start is not None:
         data = replace(data, damping_share=start.servos.of("damping_share"))
     windows = windows_of(data.tracks, WINDOW_S)
-    simple = plain(Motions(data, some_of(windows, MOST_WINDOWS)))
+    data, simple = _as_sent(data, some_of(windows, MOST_WINDOWS))
     telling = _telling(data, simple, windows)
     few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
     squares = 1.0 - (1.0 - worthwhile) ** 2
     warnings = (*alike, *missing_commands(log), *_cautions(data))
     return Problem(data, few, more, simple, start, squares, warnings)
+
+
+def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoModel]:
+    """The motions, and plain servos there, with commands that hold until the next one; or that go
+    on between rows, where these servos follow them nearer so: no row tells then when they jumped."""
+    held = plain(Motions(data, windows))
+    at = jumps(data.tracks.u.T).any(0).nonzero().flatten()
+    if not len(at):
+        return data, held
+
+    def sent(jump_at: Tensor) -> PositionData:
+        return replace(data, tracks=replace(data.tracks, jump_at=jump_at), held=0.0)
+
+    every, row = windows_of(data.tracks, WINDOW_S), torch.zeros_like(data.q)
+    after = at[:, None] + torch.arange(max(2, round(JUMP_S / data.tracks.dt)))
+    jump_at, model = torch.full_like(row[:, 0], MIDDLE), held
+    for _ in range(3):
+        ways = [sent(jump_at.clone().index_fill_(0, at, place)) for place in PLACES]
+        apart = [every.on_rows(errors_of_one(x, model.servos, every), row.clone()) for x in ways]
+        squares = torch.stack(apart).square().sum(2)[:, after.clamp(max=len(row) - 1)].sum(2)
+        jump_at[at] = torch.tensor(PLACES, dtype=row.dtype)[squares.argmin(0)]
+        model = model.fitted(Motions(sent(jump_at), windows), 8)
+    motions = Motions(data, windows), Motions(sent(jump_at), windows)
+    fall = (held.losses(motions[0]) / model.losses(motions[1])).log()[~data.still].mean()
+    return (motions[1].data, model) if float(fall) > math.log(ALIKE_LOSS) else (data, held)
 
 
 def with_motions(log: Log) -> tuple[Log, tuple[str, ...]]:

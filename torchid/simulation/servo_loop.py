@@ -38,7 +38,7 @@ from torchid.robot.model import JointType, Robot, link_poses
 from torchid.simulation.servo import INDEX, PLANE, Servos
 from torchid.typing import Bool, Float, Int
 
-THETA = 0.55
+THETA = 0.51
 """Share of a step at which forces are taken [1]: 1/2 is of second order, more is damped."""
 STEP = 0.005
 """Longest step, and longest time for which the rigid body is what it is in its middle [s]."""
@@ -58,6 +58,9 @@ _TOGETHER = 4000
 _NUMBERS = 64000
 FASTEST = (1e6, 1e4)
 """Acceleration [rad/s^2] and speed [rad/s] of set-points that are as good as not limited."""
+LONE, MIDDLE = 3.0, 0.5
+"""Times the changes before and after it from which a change of a set-point is a jump; and when that
+is, in samples, where nothing tells [1]."""
 _STRETCH, _EARLY = 200, 25
 PIECE_S, MANY = 2.0, 8
 """Length of the pieces of long windows [s], and how many of them a window must have to be cut."""
@@ -220,12 +223,19 @@ BodyAt = Callable[[Tensor, Tensor], Body]
 
 Values = TypeVar("Values", np.ndarray, Tensor)
 
-Shares = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+Shares = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 """Of a step: how far the set-point is from the first knot to the next and from there to the last;
-torque per first difference of knots by its rate alone; by all, and the same of the last."""
+torque per first difference of knots by its rate alone; by all, and the same of the last; and when
+it is, in samples from the first knot."""
 
-Way = tuple[Tensor, Tensor, Tensor]
-"""Of set-points: a knot, and the differences to the two after it."""
+Jump = tuple[Tensor, Tensor]
+"""When set-points jump, in samples from the knot before, and how far; 0 where they go along lines."""
+
+Way = tuple[Tensor, Tensor, Tensor, tuple[Jump, Jump] | None]
+"""Of set-points: a knot, and the differences to the two after it; and which of them are jumps, if
+any is."""
+
+_Knot = tuple[Tensor, Tensor | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,12 +246,15 @@ class Tracks:
         u: (T, n) commanded positions [rad].
         first, last: (m,) first and last row of each motion.
         dt: sampling interval [s].
+        jump_at: (T,) when commands that jump between a row and the next do so, in samples; None for
+            in the middle, where commands hold until the next one and are late by half a sample.
     """
 
     u: Float[Tensor, "T n"]
     first: Int[Tensor, " m"]
     last: Int[Tensor, " m"]
     dt: float
+    jump_at: Float[Tensor, " T"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,6 +412,14 @@ def _limited(
     followed = torch.from_numpy(out_of).permute(1, 2, 0)
     out[bound] = followed
     return out
+
+
+def jumps(points: Float[Tensor, "*D T"]) -> Bool[Tensor, "*D T"]:
+    """Whether a set-point jumps between a row and the next, and does not go along a line."""
+    change = points.diff().abs()
+    near = torch.nn.functional.pad(change, (1, 1))
+    lone = change > LONE * torch.maximum(near[..., :-2], near[..., 2:]) + _SLIGHT
+    return torch.nn.functional.pad(lone, (0, 1))
 
 
 def profiles_of(servos: Servos) -> Float[Tensor, "S n 4"]:
@@ -559,6 +580,11 @@ def _side_by_side(
     # the state in the cache.
     order = windows.length.argsort(descending=True, stable=True)
     known = isinstance(body, Body)
+    lone = jumps(points)
+    jump_at = None
+    if bool(lone.any()):
+        at = torch.full_like(points[0, 0], MIDDLE) if tracks.jump_at is None else tracks.jump_at
+        jump_at = torch.where(lone, at, math.inf).flatten().to(begin)
     keep_freed_memory()
 
     def run_of(some: Int[Tensor, " V"]) -> _Run:
@@ -567,6 +593,7 @@ def _side_by_side(
             plane[..., some] if each else plane,
             points,
             owner[..., some] if owner.shape[2] > 1 else owner,
+            jump_at,
             tracks.first[windows.motion[some]],
             tracks.dt,
             longest_step,
@@ -644,6 +671,7 @@ class _Run:
         plane: Tensor,
         points: Tensor,
         owner: Tensor,
+        jump_at: Tensor | None,
         begin: Tensor,
         dt: float,
         longest_step: float,
@@ -655,7 +683,7 @@ class _Run:
         self.parts, self.sweeps, self.least = parts, *sweeps
         each = math.ceil(dt / parts / longest_step - NEARLY)
         steps = parts * each
-        self.h = dt / steps
+        self.h, self.steps = dt / steps, steps
         self.last: tuple[tuple[Tensor, Tensor], Body] | None = None
         p = {name: table[..., k].contiguous() for name, k in INDEX.items()}
         p |= {name: p[name].expand(-1, -1, len(begin)).contiguous() for name in _BOUNDS}
@@ -668,7 +696,8 @@ class _Run:
             torch.arange(points.shape[0])[:, None, None] * points.shape[1] + owner
         ) * points.shape[2]
         self.flat = points.reshape(-1).to(table)
-        self.ahead: tuple[Tensor, Tensor] | None = None
+        self.jump_at = jump_at
+        self.ahead: tuple[_Knot, _Knot] | None = None
         # Most sets have set-points and delays as another has: theirs are looked up once.
         self.apart: Sequence[Tensor] = (self.whole, self.rows)
         self.alike: Tensor | None = None
@@ -689,7 +718,7 @@ class _Run:
             sooner = rate - later
             first = torch.addcmul(sooner, p["kp"], near)
             last = torch.addcmul(later, p["kp"], far)
-            shares.append((near, far, sooner, first, last))
+            shares.append((near, far, sooner, first, last, at))
         # Those of every part, in which the body stays the same.
         self.shares = [shares[k : k + each] for k in range(0, steps, each)]
         self.rate = p["kd"] / dt
@@ -718,20 +747,32 @@ class _Run:
         )
         self.inside = p["kd"] + inside
 
-    def knots(self, rows: Tensor) -> list[Tensor]:
+    def way(self, rows: Tensor) -> Way:
         """Three set-points (n, P, W), or (n, 1, W) of sets that are alike, around the delayed
         instant of a sample, which follows the one that was asked for before."""
         at = rows - self.apart[0] - 1
         if self.ahead is None:
             self.ahead = self._knot(at), self._knot(at + 1)
-        before, now = self.ahead
-        self.ahead = now, self._knot(at + 2)
-        return [before, *self.ahead]
+        (before, at_first), (now, at_last) = self.ahead
+        self.ahead = self.ahead[1], self._knot(at + 2)
+        first, last = now - before, self.ahead[1][0] - now
+        jumping = None
+        if at_first is not None and at_last is not None:
+            here = at_first.isfinite(), at_last.isfinite()
+            if bool((here[0] | here[1]).any()):
+                jumping = (at_first, here[0] * first), (at_last + 1, here[1] * last)
+        return before, first, last, jumping
 
-    def _knot(self, at: Tensor) -> Tensor:
-        """Set-points at rows of the tracks; before a motion, its first."""
-        x = self.flat.take(torch.maximum(at, self.begin).add_(self.apart[1]))
-        return x if self.alike is None or x.shape[1] == 1 else x.index_select(1, self.alike)
+    def _knot(self, at: Tensor) -> _Knot:
+        """Set-points at rows of the tracks, before a motion its first; and when they jump from
+        there to the next, if any does."""
+        at = torch.maximum(at, self.begin).add_(self.apart[1])
+        both = [None if x is None else x.take(at) for x in (self.flat, self.jump_at)]
+        if self.alike is not None and at.shape[1] > 1:
+            both = [None if x is None else x.index_select(1, self.alike) for x in both]
+        x, jump_at = both
+        assert x is not None
+        return x, jump_at
 
     def summed(
         self,
@@ -769,14 +810,14 @@ class _Run:
 
     def sample(self, state: _State, body: Body | BodyAt, rows: Tensor) -> None:
         """Step a state from one sample to the next."""
-        knots = self.knots(rows)
+        way = self.way(rows)
         for shares in self.shares:
             wait = len(shares) * self.h / 2
             if isinstance(body, Body):
-                self._part(state, body, rows, knots, shares, wait)
+                self._part(state, body, rows, way, shares, wait)
             else:
                 now = self._near(state, body, wait)
-                self._part(state, now, torch.arange(len(rows)), knots, shares, wait)
+                self._part(state, now, torch.arange(len(rows)), way, shares, wait)
 
     def _near(self, state: _State, body: BodyAt, wait: float) -> Body:
         """The body a little later; that of the last time, where nothing has moved since."""
@@ -790,15 +831,13 @@ class _Run:
         state: _State,
         body: Body,
         rows: Tensor,
-        knots: list[Tensor],
+        way: Way,
         shares: list[Shares],
         wait: float,
     ) -> None:
         """Step a state through a part of a sample, `wait` being half of it [s], near rows of the
         body's."""
         p, h, active = self.p, self.h, self.active
-        x0, x1, x2 = knots
-        way = x0, x1 - x0, x2 - x1
         near = self._near_body(state, body, rows, wait)
         arm = self._reach(body, rows) if self.touches else None
         # The same in all steps, unless speed, the servo's torque or a plane make it another.
@@ -848,20 +887,32 @@ class _Run:
 
     def _error(self, state: _State, way: Way, share: Shares) -> Tensor:
         """Set-point less position at the instant of a step, but for the dead zone [rad]."""
-        (x0, d0, d1), (near, far, *_) = way, share
+        (x0, d0, d1, jumping), (near, far, *_) = way, share
         error = torch.addcmul(torch.addcmul(x0, d0, near), d1, far).sub_(state.q)
+        if jumping is not None:
+            error.add_(self._beyond_lines(jumping, share))
         if self.active["dead_zone"]:
             error = error - error.clamp(-self.p["dead_zone"], self.p["dead_zone"])
         return error
 
+    def _beyond_lines(self, jumping: tuple[Jump, Jump], share: Shares) -> Tensor:
+        """How much farther set-points are where they jump: means over the step, which change with
+        the delay without a jump [rad]."""
+        (at_first, first), (at_last, last) = jumping
+        near, far, at = share[0], share[1], share[-1]
+        ahead = ((at - at_first) * self.steps + 0.5).clamp_(0.0, 1.0).sub_(near).mul_(first)
+        return ahead.addcmul_(((at - at_last) * self.steps + 0.5).clamp_(0.0, 1.0) - far, last)
+
     def _drive(self, state: _State, way: Way, share: Shares) -> Tensor:
         """The servo's torque of a joint at rest [N m]."""
-        (x0, d0, d1), (_, _, rate, first, last) = way, share
+        (x0, d0, d1, jumping), (_, _, rate, first, last, _) = way, share
         if self.active["dead_zone"]:
             drive = self._error(state, way, share).mul_(self.p["kp"])
             drive = torch.addcmul(drive, rate, d0).addcmul_(self.rate - rate, d1)
         else:
             drive = (x0 - state.q).mul_(self.p["kp"]).addcmul_(first, d0).addcmul_(last, d1)
+            if jumping is not None:
+                drive.addcmul_(self.p["kp"], self._beyond_lines(jumping, share))
         return drive.add_(state.i) if self.active["integral"] else drive
 
     def _solved(
