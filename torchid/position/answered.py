@@ -170,8 +170,8 @@ def best_answer(
 
 
 def _weighing_as_log(problem: Problem) -> Problem:
-    """The question, of an arm whose servos feel gravity where those of its file do not, or the other
-    way round, where that closes much of what gains of any size leave, and what the file's do."""
+    """The question, of an arm whose servos feel gravity where those of its file do not, or the
+    other way round, where that closes much of what gains of any size leave, and the file's do."""
     data, moves = problem.data, ~problem.data.still
     if problem.file is None or not data.weighed or not bool(data.robot.gravity.any()):
         return problem

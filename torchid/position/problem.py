@@ -98,7 +98,7 @@ def pose(
 
 def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoModel]:
     """The motions, and plain servos there, with commands that hold until the next one; or that go
-    on between rows, where these servos follow them nearer so: no row tells then when they jumped."""
+    on between rows, where these servos follow them nearer: no row tells then when they jumped."""
     held = plain(Motions(data, windows))
     at = jumps(data.tracks.u.T).any(0).nonzero().flatten()
     if not len(at):

@@ -229,7 +229,7 @@ torque per first difference of knots by its rate alone; by all, and the same of 
 it is, in samples from the first knot."""
 
 Jump = tuple[Tensor, Tensor]
-"""When set-points jump, in samples from the knot before, and how far; 0 where they go along lines."""
+"""When set-points jump, in samples from the knot before, and how far: 0 where they go on lines."""
 
 Way = tuple[Tensor, Tensor, Tensor, tuple[Jump, Jump] | None]
 """Of set-points: a knot, and the differences to the two after it; and which of them are jumps, if
