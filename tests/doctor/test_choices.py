@@ -6,7 +6,9 @@ import torch
 
 from tests.doctor.synthetic import clean, log_faults
 from tests.marks import quick_first, some
+from torchid.doctor.check import Choice, judged, with_choices
 from torchid.doctor.examine import conclusion, examine, untold_checks
+from torchid.doctor.repair import DropRows
 from torchid.dynamics.regressor import regressor
 from torchid.errors import LogError
 
@@ -141,3 +143,16 @@ def test_one_joint_that_moves_shows_nothing_about_the_others():
     result = examine(robot, alone)
     assert "joint order" in untold_checks(result)
     assert "This log cannot tell:" in conclusion(result)
+
+
+def test_a_doubtful_repair_waits_until_it_is_chosen():
+    offer = Choice.by("gain of joint 2", DropRows((0,), "a test"))
+    found = judged("size", "doubtful", "joint 2: may be a gain", joints=(1,))
+    waiting = with_choices(found, [offer], (), sure=False)
+    assert waiting.repairs == ()
+    assert "gain of joint 2" in str(waiting.fix)
+    assert not waiting.undecided  # one offer does not stop the checks that follow
+    chosen = with_choices(found, [offer], ["gain of joint 2"], sure=False)
+    assert (chosen.chosen, chosen.repairs) == ("gain of joint 2", offer.repairs)
+    sure = with_choices(found, [offer], ())
+    assert (sure.repairs, sure.choices) == (offer.repairs, ())

@@ -102,7 +102,7 @@ def with_choices(
         every = "; or ".join(f"{c.name}: {c.fix}" for c in choices)
         ask = f"choose, the log cannot tell: {every}"
     else:
-        ask = f'{taken.fix}, if so: --fix "{taken.name}"'
+        ask = f'{taken.fix}, if you know it to be so: choose "{taken.name}"'
     return replace(
         check,
         fix=taken.fix if chosen else ask,

@@ -46,6 +46,8 @@ def choices(examination: Examination) -> str:
     for check in examination.undecided:
         lines.append(f"{check.name}: explanations that this log cannot tell apart, none is applied")
         lines += [f'  --fix "{c.name}": {c.fix}' for c in check.choices]
+    offered = [c for c in examination.checks if len(c.choices) == 1 and c.chosen is None]
+    lines += [f'if you know it to be so: --fix "{c.choices[0].name}"' for c in offered]
     if examination.waiting:
         lines.append(f"{examination.waiting} more of the fixes wait for this choice")
     return "\n".join(lines)
