@@ -173,7 +173,7 @@ def test_commands_and_python_of_the_readme_run(tmp_path: Path) -> None:
     assert set(tmp_path.rglob("*")) > before, "what the README's Python saves"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_commands_and_python_of_the_tutorial_run(place: Shell) -> None:
     assert _commands_run(TUTORIAL, place) >= 10
     for name in (

@@ -63,14 +63,14 @@ def test_a_limit_that_the_file_does_not_have_is_found(tmp_path):
     assert found.answer.after < 0.1 * found.answer.before
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gravity_that_the_servos_do_not_feel_is_found(tmp_path):
     found = diagnosed(tmp_path / "arm.xml", xml(), xml(gravcomp=1.0))
     assert found.answer.causes[0].effect == "gravity_compensation"
     assert all(c.how_sure < 0.9 for c in found.answer.causes[1:])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_a_file_that_is_right_nothing_is_named(tmp_path):
     found = diagnosed(tmp_path / "arm.xml", xml(), xml())
     assert not [c for c in found.answer.causes if c.how_sure > 0.9]

@@ -183,8 +183,9 @@ class _Friction:
         return {k: some for k, some in own.items() if some}
 
     def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
-        """Torque at three speeds, both ways."""
+        """Torque at three speeds, as they are read, both ways."""
         speeds = own.abs().quantile(own.new_tensor(AT))
+        speeds = own.new_tensor([float(f"{x:.2g}") for x in speeds.tolist()])
         ways = [
             [x if self._moves(own, way) else torch.full_like(speeds, torch.nan) for x in found]
             for way in (1.0, -1.0)

@@ -369,7 +369,8 @@ class Answer(Part, frozen=True, kw_only=True):
             verb, end = ("lowers", "lower"), f"{self.error}: {change}, {percent(self.less)} less."
             if self.noise_measured and self.closed >= ALL:
                 end = f"{self.error} to the noise: {change}, {percent(self.less)} less."
-            if percent(self.unnamed) != percent(0.0):
+            # What has no name may as well cancel against the causes.
+            if self.unnamed > 0 and percent(self.unnamed) != percent(0.0):
                 end = f"{end[:-1]} ({percent(self.unnamed)} without a sure name)."
             if self.closed_ci95 is not None and self.closed_ci95[0] <= 0:
                 rest = " Other motions may not confirm it."
@@ -423,7 +424,7 @@ class Answer(Part, frozen=True, kw_only=True):
         several = {
             joint: causes
             for joint, causes in own.items()
-            if len(causes) > 1 or laws[joint].unnamed != 0
+            if len(causes) > 1 or laws[joint].unnamed > 0
         }
         if not several:
             return self.causes

@@ -135,5 +135,5 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         if not known:
             return ""
         sizes = ", ".join(digits(x.size, 2) for x in known)
-        speeds = ", ".join(digits(x.speed, 1) for x in known)
+        speeds = ", ".join(digits(x.speed, 2) for x in known)
         return f"{sizes} {unit_behind(self.unit)} at {speeds} {unit_behind(self.speed_unit)}"
