@@ -15,7 +15,7 @@ QUICK := -m "not slow and not nightly and not real"
 # `make test` is two processes, each of which reads and runs half of the tests, so that nothing is
 # made twice. In the first half annotations are checked where shapes are the subject.
 SHAPES := design dynamics effects robot statistics
-HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility log parallel simulation \
+HALF := $(addprefix tests/,$(SHAPES) excitation export extraction feasibility identification log parallel simulation \
   simulators torchid_study/equal_torque/test_sample.py torchid_study/wrenches wrenches \
   test_types_are_checked.py)
 PACKAGES := torchid torchid_study torchid_bench

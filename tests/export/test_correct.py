@@ -367,6 +367,7 @@ def test_bodies_at_the_end_of_what_is_believable_are_said(full, logs, tmp_path, 
     assert "(at a bound: mass of link 2 (upper))" in found.files[0].read_text()
 
 
+@pytest.mark.slow
 def test_a_joint_whose_torque_says_nothing_keeps_what_it_has(full, logs, tmp_path):
     """The sensor of joint 3 writes noise: no file can be fitted to it, or judged by it."""
     given = {"effect": "viscous_friction", "joint": 3, "Fv": 0.7}

@@ -253,13 +253,15 @@ def improve_by_swaps(
     fit: Fitted,
     left: Sequence[Term],
 ) -> tuple[Fitted, list[Term]]:
-    """Swap causes for others while the evidence rises beside those that are too small for a name:
-    without them a body's ten numbers take what they hold, and stand for the causes beside it. Also
-    return those that are too small."""
+    """Swap causes for others while the evidence rises, also beside those that are too small for a
+    name: without them a body's ten numbers take what they hold, and stand for the causes beside it.
+    Also return those that are too small."""
     out = list(left)
     whole = beside_small(question, fit, out)
     while (other := swap_term(question, fit, every=True)) is not None:
         other, more = drop_worthless(question, folds, other)
+        if most_evident(question, [fit, other]) is fit:
+            break
         then = beside_small(question, other, [*out, *more])
         if most_evident(question, [whole, then]) is whole:
             break
