@@ -11,7 +11,7 @@ from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
 from torchid.doctor.estimates import check_gravity, check_lag, lag_of, looped
-from torchid.doctor.faults import fault_checks, unseen_faults
+from torchid.doctor.faults import confirmed, fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.number_format import check_number_format
@@ -254,10 +254,11 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
     elif turned or not first:
         checks.append(check_gravity(judge, found, fixes))
     checks += fault_checks(judge, found, fixes, case.checks)
-    checks += [check_lag(judge, found, lag), check_size(judge, case.log, end, fixes)]
+    sized = confirmed(judge, found)
+    checks += [check_lag(judge, found, lag), check_size(judge, case.log, sized, fixes)]
     checks += check_runs(judge, end) if found.explained else ()
     if not first:
-        checks += check_nominal(judge, case.log, end)
+        checks += check_nominal(judge, case.log, sized)
         checks += unseen_faults(judge, found)
     return Examination(robot, given, tuple(checks), found, judge)
 

@@ -165,6 +165,15 @@ def _nominal_objects(judge: Judge, found: Found) -> bool:
     return gain < CLEAR_GAIN
 
 
+def confirmed(judge: Judge, result: Search) -> Hypothesis:
+    """Where a search ended, or stood before the first fault that the robot's own parameters do not
+    confirm: what they say of the torque's size holds for motion as it is logged."""
+    for found in result.found:
+        if FAULTS[found.move.kind].modelled and _nominal_objects(judge, found):
+            return found.move.before
+    return result.final.hypothesis
+
+
 def _odd_size(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:
     """Logarithm of the factor between one joint's torque over nominal torque and the others'
     median; infinite where either is not clear."""
