@@ -354,25 +354,34 @@ def plain_texts(figure: Figure) -> None:
             text.set(text=printable(words), parse_math=False)
 
 
+def _pixels(figure: Figure, dpi: float) -> Any:
+    """A figure as a picture of red, green and blue, drawn once: `savefig` draws twice where a
+    layout is to be found."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+
+
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG atomically."""
     plain_texts(figure)
-    with atomic_write(path, "wb") as stream:
-        figure.savefig(stream, format="png", dpi=130)
+    picture = _pixels(figure, 130)
+    with atomic_write(path, "wb") as file:
+        picture.save(file, format="PNG", dpi=(130, 130))
     return path
 
 
 def save_small(figure: Figure, path: Path) -> Path:
     """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    figure.set_dpi(100)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    size = canvas.get_width_height()
-    picture = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
-    few = picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    few = _pixels(figure, 100).quantize(
+        256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
+    )
     with atomic_write(path, "wb") as file:
         few.save(file, format="PNG", compress_level=9)
     return path
