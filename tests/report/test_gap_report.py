@@ -36,8 +36,8 @@ def lines_of(screen, width: int) -> list[str]:
 
 
 SENTENCES = {
-    "no_gap": "No gap beyond noise: 0.105 N m (noise 0.0693 to unknown). 2 effects could not "
-    "have been seen in it.",
+    "no_gap": "No gap that this log can tell from noise: 0.105 N m (noise 0.0693 to unknown). "
+    "2 effects could not have been seen in it.",
     "parametric_only": "Inertia of link 3 lowers the gap: 0.617 -> 0.105 N m, 83 % less.",
     "explained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) lowers the gap: "
     "0.617 -> 0.105 N m, 83 % less.",
