@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 
 from torchid.results.answer import Answer, Cause, JointError, LawCause, Size
@@ -67,3 +68,13 @@ def test_one_term_keeps_its_name_and_so_does_what_is_elsewhere():
     )  # fmt: skip
     said = answer(one, other, arm, laws=(law(0), law(1)))
     assert said.entries == said.causes == (one, other, arm)
+
+
+@pytest.mark.parametrize(("unnamed", "kind"), [(0.1, LawCause), (0.0, Cause), (-0.1, Cause)])
+def test_one_sure_term_is_a_law_where_others_remove_some_of_the_error_too(unnamed, kind):
+    one = cause("presliding_hysteresis", 0)
+    details = [FrictionDetail(detail="loop", effects=("presliding_hysteresis",), how_sure=0.99)]
+    said = answer(one, laws=(law(0, details=details, unnamed=unnamed),))
+    assert [type(c) for c in said.entries] == [kind]
+    assert "without a sure name" not in msgspec.structs.replace(said, unnamed=-0.1).headline
+    assert "(10 % without a sure name)" in msgspec.structs.replace(said, unnamed=0.1).headline
