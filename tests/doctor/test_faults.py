@@ -5,11 +5,12 @@ from unittest.mock import patch
 
 import pytest
 
-from torchid.doctor.faults import confirmed
+from torchid.doctor.faults import confirmed, denied_faults
 
 
 @pytest.mark.parametrize(
-    ("denied", "where"), [((False, False), "end"), ((False, True), "second"), ((True,), "first")]
+    ("denied", "where"),
+    [((False, False), "end"), ((False, True), "second"), ((True, False), "first")],
 )
 def test_sizes_are_of_the_motion_before_what_nobody_confirms(denied, where):
     found = [
@@ -18,4 +19,4 @@ def test_sizes_are_of_the_motion_before_what_nobody_confirms(denied, where):
     ]
     result = SimpleNamespace(found=found, final=SimpleNamespace(hypothesis="end"))
     with patch("torchid.doctor.faults._nominal_objects", side_effect=denied):
-        assert confirmed(None, result) == where
+        assert confirmed(result, denied_faults(None, result)) == where

@@ -11,7 +11,7 @@ from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
 from torchid.doctor.estimates import check_gravity, check_lag, lag_of, looped
-from torchid.doctor.faults import confirmed, fault_checks, unseen_faults
+from torchid.doctor.faults import confirmed, denied_faults, fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.number_format import check_number_format
@@ -253,8 +253,9 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
         checks.append(kind)
     elif turned or not first:
         checks.append(check_gravity(judge, found, fixes))
-    checks += fault_checks(judge, found, fixes, case.checks)
-    sized = confirmed(judge, found)
+    denied = denied_faults(judge, found)
+    checks += fault_checks(judge, found, denied, fixes, case.checks)
+    sized = confirmed(found, denied)
     checks += [check_lag(judge, found, lag), check_size(judge, case.log, sized, fixes)]
     checks += check_runs(judge, end) if found.explained else ()
     if not first:

@@ -23,15 +23,40 @@ _MOST_NAMED = 4
 """Groups of joints that are named."""
 
 
+def denied_faults(judge: Judge, result: Search) -> list[Found]:
+    """Faults that the robot's own parameters do not confirm."""
+    modelled = [f for f in result.found if FAULTS[f.move.kind].modelled]
+    return [f for f in modelled if _nominal_objects(judge, f)]
+
+
+def confirmed(result: Search, denied: Sequence[Found]) -> Hypothesis:
+    """Where a search ended, or stood before the first fault that the robot's own parameters do not
+    confirm: what they say of the torque's size holds for motion as it is logged."""
+    return denied[0].move.before if denied else result.final.hypothesis
+
+
 def fault_checks(
-    judge: Judge, result: Search, fixes: Collection[str] = (), before: Sequence[Check] = ()
+    judge: Judge,
+    result: Search,
+    denied: Collection[Found],
+    fixes: Collection[str] = (),
+    before: Sequence[Check] = (),
 ) -> list[Check]:
-    """One check a fault, and one line for each kind that has none; `before`: those of the signals,
-    which may have scaled the positions."""
+    """One check a fault, and one line for each kind that has none.
+
+    Args:
+        judge, result: of the log, and of the search for faults.
+        denied: as of `denied_faults`.
+        fixes: names of those that are chosen.
+        before: checks of the signals, which may have scaled the positions.
+    """
     unit = _taken_unit(before)
     live = judge.live(result.final.hypothesis)
     found = [f for f in result.found if FAULTS[f.move.kind].check]
-    checks = [_explained(result, live), *(_check(judge, result, f, fixes, unit) for f in found)]
+    checks = [
+        _explained(result, live),
+        *(_check(judge, result, f, f in denied, fixes, unit) for f in found),
+    ]
     names = {c.name for c in checks}
     for name in _ALWAYS:
         if name in names:
@@ -104,7 +129,12 @@ def _taken_unit(before: Sequence[Check]) -> dict[int, float]:
 
 
 def _check(
-    judge: Judge, result: Search, found: Found, fixes: Collection[str], unit: dict[int, float]
+    judge: Judge,
+    result: Search,
+    found: Found,
+    denied: bool,
+    fixes: Collection[str],
+    unit: dict[int, float],
 ) -> Check:
     move, end, fault = found.move, result.final.hypothesis, FAULTS[found.move.kind]
     assert fault.check is not None
@@ -142,10 +172,9 @@ def _check(
         own |= {"estimate": factor}
     rivals = ", ".join(_name(r) for r in found.rivals)
     text = first + improvement_text(found) + (f"; as good: {rivals}" if rivals else "")
-    objects = fault.modelled and _nominal_objects(judge, found)
-    if objects:
+    if denied:
         text += "; the robot's own parameters do not confirm it"
-    doubtful = objects or not found.needed
+    doubtful = denied or not found.needed
     verdict: Verdict = "cannot tell" if unsure else "doubtful" if doubtful else "wrong"
     check = judged(fault.check, verdict, f"{_name(move)}: {text}{last}", **own)
     return check if unsure else with_choices(check, choices, fixes, sure=not doubtful)
@@ -163,15 +192,6 @@ def _nominal_objects(judge: Judge, found: Found) -> bool:
         return not after < before
     gain = nominal_loss(judge, found.move.before) - nominal_loss(judge, found.move.after)
     return gain < CLEAR_GAIN
-
-
-def confirmed(judge: Judge, result: Search) -> Hypothesis:
-    """Where a search ended, or stood before the first fault that the robot's own parameters do not
-    confirm: what they say of the torque's size holds for motion as it is logged."""
-    for found in result.found:
-        if FAULTS[found.move.kind].modelled and _nominal_objects(judge, found):
-            return found.move.before
-    return result.final.hypothesis
 
 
 def _odd_size(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:

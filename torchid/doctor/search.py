@@ -23,7 +23,7 @@ HELPED = 1.1
 MOST_FAULTS = 6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Found:
     """A fault that won.
 

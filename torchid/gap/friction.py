@@ -29,6 +29,7 @@ from torchid.results.friction import (
     FrictionLaw,
 )
 from torchid.results.record import Rows
+from torchid.results.words import digits
 from torchid.robot.model import joint_unit
 from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
@@ -185,7 +186,7 @@ class _Friction:
     def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
         """Torque at three speeds, as they are read, both ways."""
         speeds = own.abs().quantile(own.new_tensor(AT))
-        speeds = own.new_tensor([float(f"{x:.2g}") for x in speeds.tolist()])
+        speeds = own.new_tensor([float(digits(x, 2)) for x in speeds.tolist()])
         ways = [
             [x if self._moves(own, way) else torch.full_like(speeds, torch.nan) for x in found]
             for way in (1.0, -1.0)

@@ -354,7 +354,7 @@ def plain_texts(figure: Figure) -> None:
             text.set(text=printable(words), parse_math=False)
 
 
-def _pixels(figure: Figure, dpi: float) -> Any:
+def _picture(figure: Figure, dpi: float) -> Any:
     """A figure as a picture of red, green and blue, drawn once: `savefig` draws twice where a
     layout is to be found."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -369,7 +369,7 @@ def _pixels(figure: Figure, dpi: float) -> Any:
 def save(figure: Figure, path: Path) -> Path:
     """Write a PNG atomically."""
     plain_texts(figure)
-    picture = _pixels(figure, 130)
+    picture = _picture(figure, 130)
     with atomic_write(path, "wb") as file:
         picture.save(file, format="PNG", dpi=(130, 130))
     return path
@@ -379,7 +379,7 @@ def save_small(figure: Figure, path: Path) -> Path:
     """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
     from PIL import Image
 
-    few = _pixels(figure, 100).quantize(
+    few = _picture(figure, 100).quantize(
         256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
     )
     with atomic_write(path, "wb") as file:

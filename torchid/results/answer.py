@@ -345,15 +345,11 @@ class Answer(Part, frozen=True, kw_only=True):
         if self.status == "searching":
             return self._so_far(longest)
         if not self.causes:
-            # Noise without an upper bound may be all of it, and need not be.
-            open_end = 2 * ("that this log can tell from noise",)
-            bounded = ("beyond noise", "that matters")
-            none, little = open_end if math.isnan(self.noise[1]) else bounded
-            said = {
-                "no_gap": f"No gap {none}: {size} (noise {noise}).",
-                "negligible": f"No gap {little}: {size} (noise {noise}).",
-                "not_testable": "This log cannot show what causes a gap:",
-            }
+            none = {"no_gap": "beyond noise", "negligible": "that matters"}
+            if math.isnan(self.noise[1]):  # noise may be all of it, and need not be
+                none = dict.fromkeys(none, "that this log can tell from noise")
+            said = {k: f"No gap {words}: {size} (noise {noise})." for k, words in none.items()}
+            said["not_testable"] = "This log cannot show what causes a gap:"
             worst = max(self.joints, key=lambda j: j.beyond_noise)
             # Beside what speaks against all of the log no bracket of its noise does.
             gap = f"No known effect explains {self.error} of {size}"
