@@ -1,7 +1,6 @@
 """Effects shaped like gravity: tilt, torque sensors that scale or mix, angles and geometry that are
 off."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -122,9 +121,7 @@ class TorqueGain(TorqueShare):
 
     name = "torque_gain"
     coefficients = (
-        Coefficient(
-            "gain", "1", False, "relative error of the torque's scale", 0.7, -0.5, math.inf
-        ),
+        Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7, -0.5),
     )
     meaning = "The torque sensor's scale, or the drive's torque constant, is off."
     equation = "gain tau_j"

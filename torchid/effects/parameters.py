@@ -33,7 +33,6 @@ class Coefficient:
         largest: size that it hardly exceeds on any arm, in `unit`: two standard deviations of what
             is expected before a log is seen; what seems larger is something else.
         least: below which it is on no arm, in `unit`, beside the sign that physics forbids.
-        most: above which it is on no arm, in `unit`; None: `largest`.
     """
 
     name: str
@@ -42,15 +41,11 @@ class Coefficient:
     meaning: str
     largest: float = math.inf
     least: float = -math.inf
-    most: float | None = None
 
     @property
     def range(self) -> tuple[float, float]:
         """Least and largest that it is on any arm, in `unit`."""
-        return (
-            max(0.0 if self.non_negative else -math.inf, self.least),
-            self.largest if self.most is None else self.most,
-        )
+        return max(0.0 if self.non_negative else -math.inf, self.least), self.largest
 
     def unit_for(self, prismatic: bool) -> str:
         """The unit on this kind of joint."""

@@ -260,8 +260,6 @@ def improve_by_swaps(
     whole = beside_small(question, fit, out)
     while (other := swap_term(question, fit, every=True)) is not None:
         other, more = drop_worthless(question, folds, other)
-        if most_evident(question, [fit, other]) is fit:
-            break
         then = beside_small(question, other, [*out, *more])
         if most_evident(question, [whole, then]) is whole:
             break

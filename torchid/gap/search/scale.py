@@ -1,6 +1,8 @@
 """How large a coefficient can be on one robot: masses beside its own, lengths beside its reach,
 forces and torques beside those of its joints."""
 
+from collections.abc import Sequence
+
 import torch
 
 from torchid.design.columns import Columns
@@ -37,16 +39,32 @@ class Scale:
         carried = float(self.torque.max()) / (GRAVITY * self.length)
         masses = robot.require_parameters("a scale").mass[list(robot.bodies)]
         self.mass = max(carried, float(masses.clamp(min=0).sum()))
+        # Of the model's torque and the logged one, joint by joint.
+        model = torch.cat([m.require("torque", "a scale") for m in columns.motions])
+        logged = torch.cat([s.tau for s in segments])
+        self.products = (model * logged).sum(0), model.square().sum(0), logged.square().sum(0)
         self.speed, self.acceleration = dq.clamp(min=1e-9), ddq.clamp(min=1e-9)
 
-    def largest(self, effect: Effect) -> Float[Tensor, " C"]:
-        """Of each coefficient what it is at most, by its unit; inf where that says nothing."""
-        own = list(effect.joints) or slice(None)
+    def largest(self, effects: Sequence[Effect]) -> Float[Tensor, " C"]:
+        """Of each coefficient of an effect, or of several that share them, what it is at most: on
+        any arm, and by its unit on this one; inf where that says nothing."""
+        effect = effects[0]
+        own = list(dict.fromkeys(j for e in effects for j in e.joints)) or slice(None)
         torque, mass, length = self.torque[own], self.mass, self.length
         inertia = max(mass * length**2, float((torque / self.acceleration[own]).max()))
         of = {
             "kg": mass, "kg m": mass * length, "kg m^2": inertia, "m": length,
             "N m": float(torque.max()), "N m s/rad": float((torque / self.speed[own]).max()),
         }  # fmt: skip
-        sizes = [BEYOND_ROBOT * of.get(c.unit, torch.inf) for c in effect.coefficients]
-        return torch.tensor(sizes, dtype=torch.float64)
+        on_robot = [BEYOND_ROBOT * of.get(c.unit, torch.inf) for c in effect.coefficients]
+        largest = [most for _, most in effect.ranges]
+        if effect.scale_of_torque and self._exceeds(own, largest[0]):
+            # Torque in percent of its rating, say, is a gain of any size.
+            largest = [torch.inf]
+        return torch.minimum(*torch.tensor([on_robot, largest], dtype=torch.float64))
+
+    def _exceeds(self, own: list[int] | slice, gain: float) -> bool:
+        """Whether the logged torque of some joints is the model's with more than a gain: scaled,
+        this explains most of its squares."""
+        both, model, logged = (x[own].sum() for x in self.products)
+        return bool(both > (1 + gain) * model and both.square() > model * logged / 2)

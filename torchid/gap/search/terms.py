@@ -103,7 +103,7 @@ class Term:
         least, largest = zip(*every, strict=True)
         out = torch.tensor([known, least, largest], dtype=torch.float64)
         if self.most is not None:
-            out[2] = torch.minimum(out[2], self.most)
+            out[2] = self.most
         return out.T
 
     @cached_property
@@ -316,7 +316,7 @@ def candidates_of(
         for some in (terms, beside)
     )
     scale = Scale(columns)
-    terms = [replace(t, most=scale.largest(t.effects[0])) if t.effects else t for t in terms]
+    terms = [replace(t, most=scale.largest(t.effects)) if t.effects else t for t in terms]
     terms = _standing_in(terms, given.effects)
     if wanted.knowledge is not None:
         fixed = known_terms([*terms, *beside], wanted.knowledge, given.effects)
