@@ -1,9 +1,11 @@
 """Sessions add up: what is known of a model counts in its next identification."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 from torch.testing import assert_close
 
 import torchid
@@ -28,6 +30,7 @@ from torchid.identification.values import identified_base, nominal_base
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
+from torchid.robot.yaml_file import from_mapping
 
 ROBOT = load_robot("3r")
 EFFECTS = ("viscous_friction", "coulomb_friction")
@@ -213,3 +216,29 @@ def test_a_model_that_is_worse_than_none_is_refused() -> None:
     assert "joints 1, 2 hardly move" in str(refused.value)
     shown = identify(ROBOT, standing(), settings=replace(Settings(), force=True))
     assert float(shown.fit.relative_percent.max()) > 100
+
+
+def test_a_free_swing_has_numbers_and_how_little_they_are_known() -> None:
+    """Of noise beside gravity and inertia, which cancel: no refusal, for an interval says it."""
+    inertia, moment = 0.2, 0.4
+    robot = from_mapping(
+        {
+            "name": "swing",
+            "dh": {"convention": "modified", "joints": [{"a": 0.0, "alpha": 0.0, "d": 0.0}]},
+            "gravity": [9.81, 0, 0],
+        },
+        "swing.yaml",
+    )
+    t = torch.arange(2000, dtype=torch.float64) / 200
+    swing = solve_ivp(
+        lambda _, y: (y[1], -moment * 9.81 / inertia * math.sin(y[0])),
+        (0, 10), (2.0, 0.0), t_eval=t.numpy(), rtol=1e-9,
+    )  # fmt: skip
+    q, dq = torch.from_numpy(swing.y).unsqueeze(-1)
+    noise = torch.randn(2, len(t), 1, generator=torch.Generator().manual_seed(5)).double()
+    log = Log(t, q + 1e-3 * noise[0], dq=dq, tau=0.05 * noise[1])
+    found = identify(robot, log, settings=replace(SETTINGS, cutoff="auto"))
+    true = torch.tensor([moment, 0.0, inertia, 0.0, 0.0], dtype=torch.float64)
+    assert bool(((found.values - true).abs() < 3 * found.std).all())
+    assert float(found.values[0]) < 2 * float(found.std[0])
+    assert any("free swing" in w for w in found.warnings)

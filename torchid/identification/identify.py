@@ -299,31 +299,27 @@ def refuse_useless(
 ) -> None:
     """Raise if the fitted model is worse than none on the very log that it was fitted to: on more
     than half of the joints with torque the error over all rows is larger than the torque itself.
-    Least squares never are on the rows that they fit; on those left out, at rest, a fit is that
-    hardly any motion determines. `free` coordinates, which no motor drives, have no say.
+    On the rows that they fit least squares are not by more than their weights, and intervals say
+    how little these rows determine; on those left out, at rest, a fit is that hardly any motion
+    determines. `free` coordinates, which no motor drives, have no say.
 
     Raises:
         IdentificationError: what the log lacks.
     """
-    percent = errors(fitted, free).relative_percent
-    worse = ((percent > NO_BETTER) & percent.isfinite()).nonzero().flatten().tolist()
+    found = errors(fitted, free)
+    percent, moving = found.relative_percent, found.relative_percent_moving.nan_to_num(0.0)
+    useless = (percent > NO_BETTER) & percent.isfinite() & (percent > moving)
+    worse = useless.nonzero().flatten().tolist()
     if 2 * len(worse) <= int(percent.isfinite().sum()):
         return
     moved, said = _travel(log)
     slow = [j for j, x in enumerate(moved) if x < HARDLY_MOVES]
     hint = f"; {joint_list(slow)} hardly move" if slow else ""
-    # Joints that do move have shown what they can: then the torque has not.
-    expected = (
-        "every joint moving through much of its range, slowly and fast"
-        if slow
-        else "motors that make the motion: of a free swing, or of a hand's, their torque is small "
-        "beside gravity's and inertia's, whose errors are then all that it shows"
-    )
     raise IdentificationError(
         "these logs determine no model: over all rows it predicts the torque worse than zero does.",
         got=f"an error of {float(percent[worse].max()):.3g} % of the torque on "
         f"{joint_list(worse)}; condition number {condition:.1e}; {said}{hint}",
-        expected=expected,
+        expected="every joint moving through much of its range, slowly and fast",
         hint="`torchid excite` designs such a motion; `force=True` (`--force`) shows the numbers "
         "all the same",
     )

@@ -250,8 +250,8 @@ def _of_the_errors(result: Identification) -> list[str]:
         said.append(
             f"the model leaves more than half of the {label} torque unexplained on joint "
             + ", ".join(useless)
-            + ": unless that torque is the sensor's noise, check the robot, the order and signs of "
-            "the joints, the gains"
+            + ": unless that torque is the sensor's noise, or small beside gravity's and inertia's "
+            "(a free swing, a hand's push), check the robot, the joints' order and signs, the gains"
         )
     # Rows at rest that were fitted as if half of the friction were there.
     shares = enumerate(result.fit.standstill_fraction.tolist(), start=1)
