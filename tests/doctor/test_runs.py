@@ -1,6 +1,7 @@
 """A run that contradicts the others."""
 
 import pytest
+import torch
 
 from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, carrying, friction, logged
 from torchid.doctor.hypothesis import Hypothesis, Judge
@@ -29,6 +30,17 @@ def test_a_run_with_a_load_is_named_with_its_mass():
     assert check.evidence.startswith("run run2 contradicts the others")
     assert check.estimate == pytest.approx(0.8, rel=0.3)
     assert "apart" in check.fix
+
+
+def test_a_run_that_agrees_with_another_is_not_the_one_that_contradicts():
+    """A load that is grasped during the last run is in none of the others."""
+    how = Recording((2,), duration=6.0, seed=1)
+    empty, full = (logged(robot, how) for robot in (ROBOT, carrying(1.5, (0.2, 0.0, 0.0), 2e-3)))
+    held = torch.arange(len(empty.t)) >= 0.3 * len(empty.t)
+    grasped = empty.replace(tau=torch.where(held.unsqueeze(1), full.tau, empty.tau))
+    check = only(Log.concatenate([PLAIN, grasped]))
+    assert "run0" not in check.evidence
+    assert "run1" not in check.evidence
 
 
 def test_a_run_of_a_warmer_arm_contradicts_none():

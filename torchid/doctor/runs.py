@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchid.doctor.check import Check, said
-from torchid.doctor.cone import Normal, fit, shares
+from torchid.doctor.cone import Fit, Normal, fit, shares
 from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
 from torchid.statistics.criteria import CLEAR_GAIN
 
@@ -50,21 +50,36 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
     bodies = judge.cone[:, judge.cone[last].any(0)]
     # What all runs have on the last link may be anything: what differs between them counts.
     cone, body = np.hstack([judge.cone, -bodies]), bodies[last]
-    plain = fit(normal, cone)
-    looked = []
-    for place, run in enumerate(runs):
+    plain, looked = fit(normal, cone), []
+    for place in range(len(runs)):
         parts = normal.apart(np.arange(PIECES * place, PIECES * (place + 1)))
         # Of two runs one is heavier, or the other lighter: it is said of the heavier one.
         for sign in (1.0, -1.0) if len(runs) > 2 else (1.0,):
             load = _Own(last, sign * body)
-            wide, every = _with_own(parts, cone, load)
-            x = fit(wide, every, plain.weights, plain.used).x
-            gain = loss_of(parts, _RUN, plain.x) - loss_of(wide, _RUN, x)
-            looked += [(gain, names[run], parts, load)] if gain > CLEAR_GAIN else []
-    for _, name, parts, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
-        if (found := _contradicts(parts, cone, name, load)) is not None:
+            gain = _gain(parts, cone, load, plain)
+            looked += [(gain, place, parts, load)] if gain > CLEAR_GAIN else []
+    for _, place, parts, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
+        found = _contradicts(parts, cone, names[runs[place]], load)
+        # One that agrees with others by itself is not what contradicts: one of these is.
+        if found is not None and _contradicts_most(normal, place, len(runs), cone, load):
             return [found]
     return [said("runs", "fine", count=len(runs))]
+
+
+def _gain(parts: Normal, cone: np.ndarray, load: _Own, plain: Fit) -> float:
+    """What a load of its own explains of a run, in log errors; `plain` has none."""
+    wide, every = _with_own(parts, cone, load)
+    x = fit(wide, every, plain.weights, plain.used).x
+    return loss_of(parts, _RUN, plain.x) - loss_of(wide, _RUN, x)
+
+
+def _contradicts_most(normal: Normal, place: int, count: int, cone: np.ndarray, load: _Own) -> bool:
+    """Whether a run differs by a load of its own from more than half of the others, one by one."""
+    differs = []
+    for other in {*range(count)} - {place}:
+        both = normal.part(np.r_[PIECES * place + _RUN, PIECES * other + _RUN]).apart(_RUN)
+        differs.append(_gain(both, cone, load, fit(both, cone)) > CLEAR_GAIN)
+    return 2 * sum(differs) > len(differs)
 
 
 def pieces_of_runs(judge: Judge) -> tuple[list[int], list[np.ndarray]]:
