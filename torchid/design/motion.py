@@ -263,8 +263,7 @@ def _measured(log: Log, rate: float, cutoff: float | None) -> tuple[bool, bool, 
         return log.dq is not None, log.ddq is not None, warnings
     own_velocity = log.dq is not None
     if log.dq is not None:
-        references = (central_difference(q, rate) for q in log.q[:ENOUGH].T)
-        lag, difference = _lag(zip(references, log.dq[:ENOUGH].T, strict=True), rate, cutoff)
+        lag, difference = velocity_lag(log.q, log.dq, rate, cutoff)
         if difference > _VELOCITY_AGREES:
             warnings.append(
                 f"{log.names[0]}: measured dq differs from the derivative of q by "
@@ -288,6 +287,15 @@ def _measured(log: Log, rate: float, cutoff: float | None) -> tuple[bool, bool, 
             f"{100 * difference:.1f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
         )
     return own_velocity, difference < _AGREE, warnings
+
+
+def velocity_lag(
+    q: Float[Tensor, "T n"], dq: Float[Tensor, "T n"], rate: float, cutoff: float
+) -> tuple[float, float]:
+    """By how much measured velocities are behind the derivative of positions [s], the median of the
+    joints, and their relative difference, the largest of them."""
+    references = (central_difference(x, rate) for x in q[:ENOUGH].T)
+    return _lag(zip(references, dq[:ENOUGH].T, strict=True), rate, cutoff)
 
 
 def _lag(

@@ -210,10 +210,23 @@ def run(label: str, source: Source, data: Path, work: Path, args: argparse.Names
             if not max(float(x.abs().max()) for x in added) > 0:
                 continue  # no torque shows it there
             log = with_torque(second, [fine.rate] * len(added), added)
+            if name == "filter_lag":  # positions say by how much velocities are late
+                log = with_late_velocities(second, planted.values[0])
             found = answer(robot, log, settings_of(source))
             file.write_text(json.dumps({"planted": key, "answer": found}))
             names = [(w["effect"], w["joints"]) for w in found["which"]]
             print(label, name, joint + 1, f"{key['size']:.1f}", found["status"], names, flush=True)
+
+
+def with_late_velocities(log: Log, lag: float) -> Log:
+    """The log with velocities that are so much later [s]."""
+    assert log.dq is not None
+    parts = []
+    for rows in log.slices():
+        t = log.t[rows].numpy()
+        late = [np.interp(t - lag, t, x) for x in log.dq[rows].T.numpy()]
+        parts.append(np.stack(late, 1))
+    return log.replace(dq=torch.from_numpy(np.concatenate(parts)))
 
 
 def formed(

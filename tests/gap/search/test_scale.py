@@ -14,6 +14,8 @@ from torchid.design.segments import Samples
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.gravity import TorqueGain
 from torchid.effects.inertia import Payload
+from torchid.effects.instants import shifted
+from torchid.effects.phase import FilterLag
 from torchid.gap.search.evidence import fit_terms
 from torchid.gap.search.scale import Scale
 from torchid.gap.search.solve import undetermined
@@ -98,3 +100,14 @@ def test_what_no_column_shows_is_open() -> None:
     both = torch.cat([a, a[:, :1] + a[:, 1:2], torch.zeros(40, 1).double()], 1)
     assert undetermined(a.T @ a).tolist() == [False] * 3
     assert undetermined(both.T @ both).tolist() == [True, True, False, True, True]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_velocities_are_late_by_what_positions_say(late: float) -> None:
+    data = measured([])
+    (first, *rest) = data.segments
+    t = first.motion.require("t", "a test")
+    slow = first.motion._replace(dq=shifted(first.motion.dq, t, -late))
+    samples = Samples([replace(first, motion=slow), *rest], data.samples.cutoff)
+    most = float(Scale(Columns(Model(ROBOT, ()), samples)).largest([FilterLag()])[0])
+    assert most == pytest.approx(late + 1 / samples.rate, abs=1e-3)

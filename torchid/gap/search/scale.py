@@ -6,8 +6,10 @@ from collections.abc import Sequence
 import torch
 
 from torchid.design.columns import Columns
+from torchid.design.motion import velocity_lag
 from torchid.effects.base import Effect
 from torchid.effects.parameters import QUANTILE_OF
+from torchid.effects.phase import FilterLag
 from torchid.robot.shapes import reach
 from torchid.statistics.criteria import BEYOND_ROBOT
 from torchid.typing import Float, Tensor
@@ -43,6 +45,12 @@ class Scale:
         model = torch.cat([m.require("torque", "a scale") for m in columns.motions])
         logged = torch.cat([s.tau for s in segments])
         self.products = (model * logged).sum(0), model.square().sum(0), logged.square().sum(0)
+        # Positions say by how much measured velocities are late, to a sample.
+        late = [
+            velocity_lag(s.motion.q, s.motion.dq, s.rate, columns.samples.cutoff)[0]
+            for s in segments
+        ]
+        self.lag = max(map(abs, late)) + 1 / columns.samples.rate
         self.speed, self.acceleration = dq.clamp(min=1e-9), ddq.clamp(min=1e-9)
 
     def largest(self, effects: Sequence[Effect]) -> Float[Tensor, " C"]:
@@ -61,6 +69,8 @@ class Scale:
         if effect.scale_of_torque and self._exceeds(own, largest[0]):
             # Torque in percent of its rating, say, is a gain of any size.
             largest = [torch.inf]
+        if isinstance(effect, FilterLag):
+            largest = [min(self.lag, *largest)]
         return torch.minimum(*torch.tensor([on_robot, largest], dtype=torch.float64))
 
     def _exceeds(self, own: list[int] | slice, gain: float) -> bool:
