@@ -100,7 +100,9 @@ def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoM
     """The motions, and plain servos there, with commands that hold until the next one; or that go
     on between rows, where these servos follow them nearer: no row tells then when they jumped."""
     held = plain(Motions(data, windows))
-    at = jumps(data.tracks.u.T).any(0).nonzero().flatten()
+    jumping = jumps(data.tracks.u.T).any(0)
+    jumping[data.tracks.last] = False  # from one motion to the next nothing is sent
+    at = jumping.nonzero().flatten()
     if not len(at):
         return data, held
 
@@ -117,6 +119,8 @@ def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoM
         jump_at[at] = torch.tensor(PLACES, dtype=row.dtype)[squares.argmin(0)]
         model = model.fitted(Motions(sent(jump_at), windows), 8)
     motions = Motions(data, windows), Motions(sent(jump_at), windows)
+    # Both from where either may begin.
+    held = min(held, model.fitted(motions[0], 8), key=lambda m: float(m.losses(motions[0]).sum()))
     fall = (held.losses(motions[0]) / model.losses(motions[1])).log()[~data.still].mean()
     return (motions[1].data, model) if float(fall) > math.log(ALIKE_LOSS) else (data, held)
 

@@ -71,16 +71,16 @@ def climb_from(question: Question, start: Sequence[Term]) -> Fitted:
     """Terms from a start on, as long as the evidence rises."""
     fit = drop_unphysical(question, fit_anew(question, start))
     # No explanation is visited twice, so the climb ends.
-    seen = {_signature(fit)}
+    seen = {signature(fit)}
     lighter = cache(partial(_lighter, question))  # asked again of what nothing is added to
     while True:
         better = _added(question, fit) or lighter(fit) or swap_term(question, fit)
-        if better is None or _signature(better) in seen:
+        if better is None or signature(better) in seen:
             return fit
         # Whatever a new term has made superfluous leaves at once.
-        while better is not None and _signature(better) not in seen:
+        while better is not None and signature(better) not in seen:
             fit = better
-            seen.add(_signature(fit))
+            seen.add(signature(fit))
             better = lighter(fit)
 
 
@@ -95,7 +95,8 @@ def drop_unphysical(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
     return fit
 
 
-def _signature(fit: Fitted) -> frozenset[int]:
+def signature(fit: Fitted) -> frozenset[int]:
+    """Which terms a fit has."""
     return frozenset(id(t) for t in fit.terms)
 
 

@@ -25,6 +25,7 @@ from torchid.gap.search.climb import (
     fit_anew,
     held_out_losses,
     moves_beside_each,
+    signature,
     swap_term,
 )
 from torchid.gap.search.events import Counterparts, contacts, hidden_contacts, planes
@@ -256,10 +257,13 @@ def improve_by_swaps(
     """Swap causes for others while the evidence rises, also beside those that are too small for a
     name: without them a body's ten numbers take what they hold, and stand for the causes beside it.
     Also return those that are too small."""
-    out = list(left)
+    out, seen = list(left), {signature(fit)}
     whole = beside_small(question, fit, out)
     while (other := swap_term(question, fit, every=True)) is not None:
         other, more = drop_worthless(question, folds, other)
+        if signature(other) in seen:  # each is compared with another one, so they may go round
+            break
+        seen.add(signature(other))
         then = beside_small(question, other, [*out, *more])
         if most_evident(question, [whole, then]) is whole:
             break
@@ -307,11 +311,13 @@ def settle(
     question: Question, folds: Folds, fit: Fitted, left: Sequence[Term]
 ) -> tuple[Fitted, list[Term]]:
     """Swap causes, and search on without the small ones, until neither raises the evidence."""
+    seen = {signature(fit)}
     while True:
         swapped, left = improve_by_swaps(question, folds, fit, left)
         fit, left = search_without_small(question, folds, swapped, left)
-        if fit is swapped:
+        if fit is swapped or signature(fit) in seen:
             return fit, left
+        seen.add(signature(fit))
 
 
 def events_not_standing_out(
