@@ -107,7 +107,7 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
         ("3r", range(4), 101, 1e-3),
         pytest.param("3r", range(10), 501, 1e-3, marks=pytest.mark.nightly),
         # Motions of 2 rad/s and more: each of the two integrations is right to 1 mrad.
-        pytest.param("kuka_lwr4", range(0, 16, 4), 501, 3e-3, marks=pytest.mark.nightly),
+        pytest.param("kuka_lwr4", range(0, 16, 4), 501, 4e-3, marks=pytest.mark.nightly),
     ],
 )
 def test_the_closed_loop_is_mujocos(name, cases, samples, bound):
@@ -373,3 +373,13 @@ def test_servos_survive_their_record():
     assert torch.equal(again.joint, servos.joint)
     assert torch.equal(again.plane, servos.plane)
     assert len(NAMES) == len(PARAMETERS)
+
+
+def test_between_motions_no_command_jumps() -> None:
+    """A step within a motion is one, the way from one motion's end to the next's begin is none."""
+    t = torch.arange(100, dtype=torch.float64) / 50
+    slow, apart = torch.sin(t), 2.0 + torch.sin(2 * t)
+    stepped = apart + 0.8 * (t > 1.0)
+    u = torch.cat([slow, apart, stepped])[:, None]
+    tracks = Tracks(u, torch.tensor([0, 100, 200]), torch.tensor([99, 199, 299]), 0.02)
+    assert tracks.jumping.nonzero().flatten().tolist() == [250]

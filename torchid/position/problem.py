@@ -19,7 +19,7 @@ from torchid.position.rods import PER_METRE
 from torchid.position.search import plain
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.robot.model import Robot
-from torchid.simulation.servo_loop import MIDDLE, Windows, jumps, windows_of
+from torchid.simulation.servo_loop import MIDDLE, Windows, windows_of
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Float
 
@@ -100,9 +100,7 @@ def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoM
     """The motions, and plain servos there, with commands that hold until the next one; or that go
     on between rows, where these servos follow them nearer: no row tells then when they jumped."""
     held = plain(Motions(data, windows))
-    jumping = jumps(data.tracks.u.T).any(0)
-    jumping[data.tracks.last] = False  # from one motion to the next nothing is sent
-    at = jumping.nonzero().flatten()
+    at = data.tracks.jumping.nonzero().flatten()
     if not len(at):
         return data, held
 

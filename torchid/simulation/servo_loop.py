@@ -256,6 +256,13 @@ class Tracks:
     dt: float
     jump_at: Float[Tensor, " T"] | None = None
 
+    @property
+    def jumping(self) -> Bool[Tensor, " T"]:
+        """Rows (T,) between which and the next one of their motion some command jumps."""
+        out = jumps(self.u.T).any(0)
+        out[self.last] = False
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class Windows:

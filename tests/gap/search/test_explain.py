@@ -22,6 +22,7 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFrict
 from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.transient import Saturation
+from torchid.gap.search import explain
 from torchid.gap.search.climb import candidate_moves, climb_from, drop_worthless, fit_anew
 from torchid.gap.search.evidence import comparable
 from torchid.gap.search.explain import (
@@ -174,3 +175,16 @@ def test_swaps_and_the_search_without_small_causes_end_where_neither_helps() -> 
     assert named(fit.terms) == {("coulomb_friction", 1), ("viscous_friction", 0)}
     same, _ = settle(question, folds, fit, left)
     assert same is fit
+
+
+def test_swaps_that_go_round_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two fits each may be better than the other: samples count as what the pair leaves."""
+    data = measured([(CoulombFriction(1), [0.6])])
+    question = question_of(data, parts=two_folds(data))
+    terms = (term(question, name, 1) for name in ("viscous_friction", "coulomb_friction"))
+    one, two = (fit_anew(question, [t]) for t in terms)
+    monkeypatch.setattr(explain, "swap_term", lambda _, fit, every: two if fit is one else one)
+    monkeypatch.setattr(explain, "drop_worthless", lambda _, __, fit: (fit, []))
+    monkeypatch.setattr(explain, "most_evident", lambda _, fits: fits[-1])
+    fit, _ = improve_by_swaps(question, question.candidates.gram.folds(), one, [])
+    assert fit in (one, two)

@@ -257,17 +257,16 @@ def improve_by_swaps(
     """Swap causes for others while the evidence rises, also beside those that are too small for a
     name: without them a body's ten numbers take what they hold, and stand for the causes beside it.
     Also return those that are too small."""
-    out, seen = list(left), {signature(fit)}
-    whole = beside_small(question, fit, out)
+    out, whole, seen = list(left), beside_small(question, fit, left), set()
     while (other := swap_term(question, fit, every=True)) is not None:
         other, more = drop_worthless(question, folds, other)
-        if signature(other) in seen:  # each is compared with another one, so they may go round
-            break
-        seen.add(signature(other))
         then = beside_small(question, other, [*out, *more])
-        if most_evident(question, [whole, then]) is whole:
+        visited = signature(other), frozenset(map(id, [*out, *more]))
+        # Evidence is of the samples that tell two fits apart, so that some go round.
+        if most_evident(question, [whole, then]) is whole or visited in seen:
             break
         fit, whole, out = other, then, [*out, *more]
+        seen.add(visited)
     return fit, out
 
 
@@ -311,13 +310,14 @@ def settle(
     question: Question, folds: Folds, fit: Fitted, left: Sequence[Term]
 ) -> tuple[Fitted, list[Term]]:
     """Swap causes, and search on without the small ones, until neither raises the evidence."""
-    seen = {signature(fit)}
+    seen = set()
     while True:
         swapped, left = improve_by_swaps(question, folds, fit, left)
         fit, left = search_without_small(question, folds, swapped, left)
-        if fit is swapped or signature(fit) in seen:
+        visited = signature(fit), frozenset(map(id, left))
+        if fit is swapped or visited in seen:
             return fit, left
-        seen.add(signature(fit))
+        seen.add(visited)
 
 
 def events_not_standing_out(
