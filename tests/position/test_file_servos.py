@@ -36,9 +36,14 @@ def with_value(servos: Servos, name: str, value: float, joint: int | None = None
     return replace(servos, joint=table)
 
 
-@pytest.mark.parametrize(("was", "changed"), [(25.0, False), (5.0, True), (math.nan, False)])
-def test_a_number_that_the_file_has_within_its_interval_has_not_changed(was, changed):
-    assert has_changed(Number("kp", "N m/rad", 27.0, (17.0, 37.0), was)) == changed
+@pytest.mark.parametrize(
+    ("was", "changed", "perhaps"),
+    [(25.0, False, False), (20.0, False, True), (5.0, True, True), (math.nan, False, False)],
+)
+def test_a_number_that_the_file_has_within_its_interval_has_not_changed(was, changed, perhaps):
+    size = Number("kp", "N m/rad", 27.0, (17.0, 37.0), was)
+    assert has_changed(size) == changed
+    assert has_changed(size, 0.5) == perhaps
 
 
 @pytest.mark.parametrize(

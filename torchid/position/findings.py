@@ -92,9 +92,10 @@ class _Naming:
                 others += (effect.twin,)
             changed = any(not math.isnan(size.was) for size in sizes)
             sure = self.how_sure(effect, j, len(sizes), again, alike, changed)
-            # No change is whose interval holds what the robot's file says.
+            # No change is whose interval holds what the robot's file says, and none at all which
+            # is within half of it.
             if changed and not any(map(has_changed, sizes)):
-                sure = min(sure, LIKELY - 0.01)
+                sure = min(sure, LIKELY - 0.01) if any(has_changed(s, 0.5) for s in sizes) else 0.0
             more = dict[str, object](ambiguous_with=others, replication=again, how_sure=sure)
             if any(s.name == "kp" and in_degrees(s.value / s.was) for s in sizes):
                 more["remedy"] = f"{effect.remedy[:-1]}, {IN_DEGREES}."
@@ -207,10 +208,10 @@ def in_degrees(factor: float) -> bool:
     return abs(abs(math.log(factor)) - math.log(180 / math.pi)) < 0.2
 
 
-def has_changed(size: Number) -> bool:
-    """Whether the interval of a number leaves out what the robot's file has; no, where it has
-    none."""
-    low, high = size.interval
+def has_changed(size: Number, share: float = 1.0) -> bool:
+    """Whether the interval of a number, or a share of it, leaves out what the robot's file has; no,
+    where it has none."""
+    low, high = (size.value + share * (end - size.value) for end in size.interval)
     return not math.isnan(size.was) and not low <= size.was <= high
 
 
