@@ -27,12 +27,9 @@ class Scale:
 
     def __init__(self, columns: Columns):
         robot, segments = columns.model.robot, columns.samples.segments
-        tau, dq, ddq = (
-            torch.cat([x[:: max(1, len(x) // QUANTILE_OF)].abs() for x in signals]).quantile(
-                0.99, 0
-            )
-            for signals in zip(*((s.tau, s.motion.dq, s.motion.ddq) for s in segments), strict=True)
-        )
+        signals = zip(*((s.tau, s.motion.dq, s.motion.ddq) for s in segments), strict=True)
+        some = ([x[:: max(1, len(x) // QUANTILE_OF)].abs() for x in each] for each in signals)
+        tau, dq, ddq = (torch.cat(x).quantile(0.99, 0) for x in some)
         limit = robot.limits.torque
         most = torch.zeros_like(tau) if limit is None else limit.to(tau).abs().amax(-1)
         self.torque = torch.maximum(tau, most.nan_to_num(0.0, 0.0))
@@ -46,11 +43,8 @@ class Scale:
         logged = torch.cat([s.tau for s in segments])
         self.products = (model * logged).sum(0), model.square().sum(0), logged.square().sum(0)
         # Positions say by how much measured velocities are late, to a sample.
-        late = [
-            velocity_lag(s.motion.q, s.motion.dq, s.rate, columns.samples.cutoff)[0]
-            for s in segments
-        ]
-        self.lag = max(map(abs, late)) + 1 / columns.samples.rate
+        motions = [(s.motion.q, s.motion.dq, s.rate, columns.samples.cutoff) for s in segments]
+        self.lag = max(abs(velocity_lag(*m)[0]) for m in motions) + 1 / columns.samples.rate
         self.speed, self.acceleration = dq.clamp(min=1e-9), ddq.clamp(min=1e-9)
 
     def largest(self, effects: Sequence[Effect]) -> Float[Tensor, " C"]:
@@ -66,15 +60,12 @@ class Scale:
         }  # fmt: skip
         on_robot = [BEYOND_ROBOT * of.get(c.unit, torch.inf) for c in effect.coefficients]
         largest = [most for _, most in effect.ranges]
-        if effect.scale_of_torque and self._exceeds(own, largest[0]):
-            # Torque in percent of its rating, say, is a gain of any size.
-            largest = [torch.inf]
         if isinstance(effect, FilterLag):
-            largest = [min(self.lag, *largest)]
-        return torch.minimum(*torch.tensor([on_robot, largest], dtype=torch.float64))
-
-    def _exceeds(self, own: list[int] | slice, gain: float) -> bool:
-        """Whether the logged torque of some joints is the model's with more than a gain: scaled,
-        this explains most of its squares."""
+            on_robot = [self.lag]
         both, model, logged = (x[own].sum() for x in self.products)
-        return bool(both > (1 + gain) * model and both.square() > model * logged / 2)
+        # Where the model's torque explains most of the squares, at a scale beyond any gain: torque
+        # in percent of its rating, say.
+        scaled = bool(both > (1 + largest[0]) * model and both.square() > model * logged / 2)
+        if effect.scale_of_torque and scaled:
+            largest = [torch.inf]
+        return torch.minimum(*torch.tensor([on_robot, largest], dtype=torch.float64))
