@@ -43,8 +43,9 @@ class Scale:
         logged = torch.cat([s.tau for s in segments])
         self.products = (model * logged).sum(0), model.square().sum(0), logged.square().sum(0)
         # Positions say by how much measured velocities are late, to a sample.
-        motions = [(s.motion.q, s.motion.dq, s.rate, columns.samples.cutoff) for s in segments]
-        self.lag = max(abs(velocity_lag(*m)[0]) for m in motions) + 1 / columns.samples.rate
+        rate, cutoff, begun = columns.samples.rate, columns.samples.cutoff, slice(QUANTILE_OF)
+        beside = [(s.motion.q[begun], s.motion.dq[begun]) for s in segments]
+        self.lag = 1 / rate + max(abs(velocity_lag(*x, rate, cutoff)[0]) for x in beside)
         self.speed, self.acceleration = dq.clamp(min=1e-9), ddq.clamp(min=1e-9)
 
     def largest(self, effects: Sequence[Effect]) -> Float[Tensor, " C"]:
