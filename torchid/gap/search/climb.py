@@ -95,9 +95,9 @@ def drop_unphysical(question: Question, fit: Fitted, rounds: int = 2) -> Fitted:
     return fit
 
 
-def signature(fit: Fitted) -> frozenset[int]:
-    """Which terms a fit has."""
-    return frozenset(id(t) for t in fit.terms)
+def signature(fit: Fitted, small: Sequence[Term] = ()) -> tuple[frozenset[int], ...]:
+    """Which terms a fit has, and which are too small beside it."""
+    return frozenset(map(id, fit.terms)), frozenset(map(id, small))
 
 
 def candidate_moves(

@@ -261,7 +261,7 @@ def improve_by_swaps(
     while (other := swap_term(question, fit, every=True)) is not None:
         other, more = drop_worthless(question, folds, other)
         then = beside_small(question, other, [*out, *more])
-        visited = signature(other), frozenset(map(id, [*out, *more]))
+        visited = signature(other, [*out, *more])
         # Evidence is of the samples that tell two fits apart, so that some go round.
         if most_evident(question, [whole, then]) is whole or visited in seen:
             break
@@ -314,7 +314,7 @@ def settle(
     while True:
         swapped, left = improve_by_swaps(question, folds, fit, left)
         fit, left = search_without_small(question, folds, swapped, left)
-        visited = signature(fit), frozenset(map(id, left))
+        visited = signature(fit, left)
         if fit is swapped or visited in seen:
             return fit, left
         seen.add(visited)

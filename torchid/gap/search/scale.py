@@ -63,10 +63,10 @@ class Scale:
         largest = [most for _, most in effect.ranges]
         if isinstance(effect, FilterLag):
             on_robot = [self.lag]
-        both, model, logged = (x[own].sum() for x in self.products)
-        # Where the model's torque explains most of the squares, at a scale beyond any gain: torque
-        # in percent of its rating, say.
-        scaled = bool(both > (1 + largest[0]) * model and both.square() > model * logged / 2)
-        if effect.scale_of_torque and scaled:
-            largest = [torch.inf]
+        if effect.scale_of_torque:
+            both, model, logged = (x[own].sum() for x in self.products)
+            # Where the model's torque explains most of the squares, at a scale beyond any gain:
+            # torque in percent of its rating, say.
+            if both > (1 + largest[0]) * model and both.square() > model * logged / 2:
+                largest = [torch.inf]
         return torch.minimum(*torch.tensor([on_robot, largest], dtype=torch.float64))
