@@ -240,11 +240,13 @@ def _numeric(values: np.ndarray, name: str, path: Path, samples: int | None = No
 def seconds(stamps: np.ndarray, factor: float = 1.0, offset: float = 0.0) -> np.ndarray:
     """(T,) seconds from numbers of another unit, or of none that is known: stamps since 1970 that
     are finer than seconds say theirs by their size."""
-    start, (least, most) = float(stamps[0]) if stamps.size else 0.0, _SINCE_1970
+    start, end = (float(stamps.min()), float(stamps.max())) if stamps.size else (0.0, 0.0)
+    least, most = _SINCE_1970
     # Nanoseconds since 1970 are counted from the first, or they would round.
     if stamps.dtype.kind in "iu" and start > _EXACT:
         stamps = stamps - stamps[0]
-    finer = [1 / unit for unit in (1e3, 1e6, 1e9) if least * unit < start < most * unit]
+    # A clock goes on: numbers that are all the same are of none.
+    finer = [1 / unit for unit in (1e3, 1e6, 1e9) if least * unit < start < end < most * unit]
     if finer and factor == 1.0:
         factor = finer[0]
     return (stamps.astype(np.float64) + offset) * factor
