@@ -2,6 +2,7 @@
 
     python -m torchid_bench.benchmarks.gap_planted DATA --work DIR [--logs panda,ur10e] [--sizes 2]
                                      [--effects coulomb_friction,...] [--part 1/2]
+                                     [--plants DIR]
     python -m torchid_bench.benchmarks.gap_planted DATA --work DIR --score
 
 Each log is cut in two. From the first half a model is fitted (base parameters, friction, and what
@@ -11,24 +12,33 @@ to its torque, `size` times as large as what the model leaves on the joint, and 
 Causes of `gap_hard.py` (table, wall, stop, soft_knee, moment, axial) are planted in the forms of that
 file, and their size is that while they act.
 
-An answer is right if it names the effect on its joint; in its set, if it says that what it names
-cannot be told from it; a name that is neither there nor in the unplanted half's answer is false.
-Answers are kept in DIR, so that a run can be taken up again.
+Answers are kept in DIR/LOG/EFFECT-SIZE.json, beside the models and the planted logs
+(`planted_cases.py`); those of another DIR, with `--plants`. Another diagnosis than torchid's is asked
+by `run(.., answer=..)`, or `main(answer)`.
+
+What can be known of a case an oracle says (`planted_oracle.py`, whose answers are stored). Right is
+to name a decidable effect first, on its joint; of an ambiguous one a set of four at most that holds
+it; of the others nothing new. A name that is neither in the set nor in the unplanted half's answer
+is false.
 """
 
 import argparse
 import itertools
 import json
+import math
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
+from torchid.effects.parameters import travel
+from torchid.effects.periodic import Wave
 from torchid.effects.registry import KINDS, model_torque, nominal_effects
+from torchid.effects.spring import JointSpring
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
@@ -40,11 +50,22 @@ from torchid.statistics.criteria import SET_MASS
 from torchid.statistics.proportion import wilson
 from torchid.withheld.planted import with_torque
 from torchid_bench.benchmarks.gap_hard import CAUSES, RIGHT, Truth
-from torchid_bench.benchmarks.gap_plant import Scene, gap, generator, plant
-from torchid_bench.benchmarks.gap_real import FRICTION, UR10E, logs
+from torchid_bench.benchmarks.gap_plant import Planted, Scene, gap, generator, plant
+from torchid_bench.benchmarks.gap_real import FRICTION
+from torchid_bench.benchmarks.planted_cases import SOURCES, Case, Source, cases, halves
+from torchid_bench.benchmarks.planted_oracle import stored
 
 FINEST = 125.0
 """Rate at which sizes are measured [Hz]."""
+
+DRAWS = 6
+"""Times that an effect is drawn at most, until it is a cause."""
+
+NOTHING = 1e-3
+"""Size below which an effect is none, over what the model leaves [1]."""
+
+MOST = 4
+"""Members of a set that still says something."""
 
 PLANTED = (
     "viscous_friction",
@@ -76,46 +97,6 @@ HARD = ("table", "wall", "stop", "soft_knee", "moment", "axial")
 PAIRED = ("backlash", "joint_elasticity", "saturation")
 
 
-@dataclass(frozen=True)
-class Source:
-    """A real log.
-
-    Attributes:
-        robot, logs: files below the data folder.
-        tip: last link, where the model has more.
-        cutoff: of the fit [Hz], where the default is not the arm's.
-    """
-
-    robot: str
-    logs: tuple[str, ...]
-    tip: str | None = None
-    cutoff: float | None = None
-
-
-SOURCES = {
-    "panda": Source("panda_gaz/robot.yaml", ("panda_gaz/log_exciting_traj1.parquet",)),
-    "ur10e": Source("ur10e/robot.urdf", UR10E[1:]),
-    "ur10": Source("ur10_unisa/robot.yaml", ("ur10_unisa/log_exciting.parquet",)),
-    "xmate": Source(
-        "xmate7p/robot.urdf", ("xmate7p/log_traj1.parquet", "xmate7p/log_traj2.parquet")
-    ),
-    "unisa": Source("panda_unisa/robot.yaml", ("panda_unisa/log_exciting.parquet",)),
-    "airbot": Source("airbot_play/robot.urdf", ("airbot_play/log_trapez_real.parquet",)),
-    "baxter": Source("baxter_left/robot.urdf", ("baxter_left/log_random.parquet",), cutoff=3.0),
-    "kr300": Source(
-        "kuka_kr300/kin.yaml",
-        tuple(f"kuka_kr300/log_{k}.parquet" for k in ("A_ident", "B_val1", "C_val2")),
-    ),
-    "tiago": Source("tiago/robot.urdf", ("tiago/log_identification.parquet",), tip="arm_7_link"),
-}
-
-
-def halves(source: Source, data: Path) -> tuple[Robot, Log, Log]:
-    """The arm without parameters, and both halves of its log."""
-    robot = load_robot(str(data / source.robot), tip=source.tip)
-    return replace(robot, parameters=None, effects=()), *logs(data, source.logs).split(0.5)
-
-
 def settings_of(source: Source, **more: Any) -> GapSettings:
     return GapSettings(rollout=False, cutoff=source.cutoff or "auto", **more)
 
@@ -128,6 +109,11 @@ def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
     except Exception as error:  # one case must not end a night's run
         found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
     return {**found, "seconds": time.process_time() - started}
+
+
+Answer = Callable[[Robot, Log, GapSettings], dict[str, Any]]
+"""A diagnosis: of an arm, a log and settings, what `torchid gap --json` writes, of which `status`
+and `which` are read (and `how_far` where something is planted), and `seconds`."""
 
 
 def scene_of(robot: Robot, log: Log, noise: Sequence[float], band: float, finest: float) -> Scene:
@@ -155,14 +141,19 @@ def scene_of(robot: Robot, log: Log, noise: Sequence[float], band: float, finest
 
 
 def modelled(
-    label: str, source: Source, data: Path, work: Path
+    label: str,
+    source: Source,
+    data: Path,
+    work: Path,
+    answer: Answer = answer,
+    plants: Path | None = None,
 ) -> tuple[Robot, Log, dict[str, Any]]:
     """The arm as the first half of its log makes it, the second half, and what is answered there
-    without anything planted; kept in the folder of the log."""
+    without anything planted; kept in the folder of the log, the model in that of `plants`."""
     rigid, first, second = halves(source, data)
     folder = work / label
     folder.mkdir(parents=True, exist_ok=True)
-    model = folder / "model.yaml"
+    model = (plants or work) / label / "model.yaml"
     if not model.exists():
         found = diagnose_torque(rigid, first, settings=settings_of(source, background=FRICTION))
         write_robot(found.corrected, model)
@@ -173,49 +164,95 @@ def modelled(
     return robot, second, json.loads(empty.read_text())
 
 
-def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
-    """All cases of one log that are not there yet."""
-    robot, second, unplanted = modelled(label, source, data, work)
-    folder = work / label
+def well_posed(scene: Scene, planted: Planted) -> bool:
+    """Whether what was drawn is a cause: it makes torque, no spring pushes away from its rest
+    position, and the joint passes through a period of a wave once at least."""
+    effect = planted.effect
+    if not planted.size > NOTHING or not any(planted.values):
+        return False
+    if isinstance(effect, JointSpring):
+        return planted.values[0] > 0
+    if isinstance(effect, Wave):
+        return effect.k * travel(scene.motions, effect.joint) >= 2 * math.pi
+    return True
+
+
+def drawn(scene: Scene, name: str, size: float, g: torch.Generator, joint: int) -> Planted | None:
+    """An effect of this name, drawn again while it is no cause; None where none is found."""
+    for _ in range(DRAWS):
+        try:
+            planted = plant(scene, name, size, g, joint, usual=2.0)
+        except ValueError:  # no place for it on this arm
+            return None
+        if well_posed(scene, planted):
+            return planted
+    return None
+
+
+def draw(label: str, source: Source, data: Path, plants: Path, args: argparse.Namespace) -> None:
+    """Plant what is not there yet, at sizes over what this code's answer leaves."""
+    robot, second, unplanted = modelled(label, source, data, plants)
+    folder = plants / label
     noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]
     coarse = scene_of(robot, second, noise, args.band, FINEST)
     fine = scene_of(robot, second, noise, args.band, 1e6)
     moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
     missing = prepare(robot, second, None).missing
+    for name, size in itertools.product(args.effects, args.sizes):
+        untestable = name in KINDS and KINDS[name].needs & missing
+        if untestable or (folder / f"{name}-{size:g}.npz").exists():
+            continue
+        g = generator("planted", label, name)
+        joint = moving[int(torch.randint(len(moving), (1,), generator=g))]
+        planted = None if name in HARD else drawn(coarse, name, size, g, joint)
+        if name in HARD:
+            added, key = formed(fine, name, size, joint)
+        elif planted is None:
+            continue
+        else:
+            added = gap(fine, [planted.valued])
+            key = {
+                "effect": name,
+                "joint": joint,
+                "joints": list(planted.effect.joints),
+                "felt_by": list(planted.joints),
+                "values": planted.values,
+                "record": planted.effect.record(planted.values),
+                "size": planted.size,
+            }
+        if not max(float(x.abs().max()) for x in added) > 0:
+            continue  # no torque shows it there
+        log, late = with_torque(second, [fine.rate] * len(added), added), None
+        if planted is not None and name == "filter_lag":
+            # Positions say by how much velocities are late.
+            log = with_late_velocities(second, planted.values[0])
+            late = None if log.dq is None else log.dq.numpy()
+        assert log.tau is not None
+        Case(f"{name}-{size:g}", key, log.tau.numpy(), late).write(folder)
+
+
+def run(
+    label: str,
+    source: Source,
+    data: Path,
+    work: Path,
+    args: argparse.Namespace,
+    answer: Answer = answer,
+) -> None:
+    """Answer all cases of one log that are not answered yet, by this diagnosis or another."""
+    plants = args.plants or work
+    draw(label, source, data, plants, args)
+    robot, second, _ = modelled(label, source, data, work, answer, plants)
     part, of = (int(x) for x in args.part.split("/"))
-    for number, name in enumerate(args.effects):
-        for size in args.sizes:
-            file = folder / f"{name}-{size:g}.json"
-            untestable = name in KINDS and KINDS[name].needs & missing
-            if number % of != part - 1 or file.exists() or untestable:
-                continue
-            g = generator("planted", label, name)
-            joint = moving[int(torch.randint(len(moving), (1,), generator=g))]
-            if name in HARD:
-                added, key = formed(fine, name, size, joint)
-            else:
-                try:
-                    planted = plant(coarse, name, size, g, joint, usual=2.0)
-                except ValueError:  # no place for it on this arm
-                    continue
-                added = gap(fine, [planted.valued])
-                key = {
-                    "effect": name,
-                    "joint": joint,
-                    "joints": list(planted.effect.joints),
-                    "felt_by": list(planted.joints),
-                    "values": planted.values,
-                    "size": planted.size,
-                }
-            if not max(float(x.abs().max()) for x in added) > 0:
-                continue  # no torque shows it there
-            log = with_torque(second, [fine.rate] * len(added), added)
-            if name == "filter_lag":  # positions say by how much velocities are late
-                log = with_late_velocities(second, planted.values[0])
-            found = answer(robot, log, settings_of(source))
-            file.write_text(json.dumps({"planted": key, "answer": found}))
-            names = [(w["effect"], w["joints"]) for w in found["which"]]
-            print(label, name, joint + 1, f"{key['size']:.1f}", found["status"], names, flush=True)
+    for number, case in enumerate(cases(plants / label, args.effects, args.sizes)):
+        file = work / label / f"{case.name}.json"
+        if number % of != part - 1 or file.exists():
+            continue
+        found = answer(robot, case.log(second), settings_of(source))
+        file.write_text(json.dumps({"planted": case.key, "answer": found}))
+        names = [(w["effect"], w["joints"]) for w in found["which"]]
+        size = f"{case.key['size']:.1f}"
+        print(label, case.name, case.key["joint"] + 1, size, found["status"], names, flush=True)
 
 
 def with_late_velocities(log: Log, lag: float) -> Log:
@@ -251,48 +288,77 @@ def formed(
     return [scaled[rows] for rows in motions], key
 
 
-def score(work: Path, sizes: Sequence[float]) -> None:
-    """A table, a line a size; and a line a log of what is named without anything planted."""
-    unplanted = {p.parent: json.loads(p.read_text()) for p in sorted(work.glob("*/none.json"))}
-    heads = ("planted, times what the model leaves", "named first on its joint", "named", "in a set",
-             "first of names and suspects", "anywhere", "its branch", "above .9: right")  # fmt: skip
-    print(f"| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
-    false = []
-    for size in sizes:
-        rows = []
-        for folder, none in unplanted.items():
+HEADS = ("log", "decidable: named first", "ambiguous: in a set of 4 at most",
+         "undecidable or below 1 %: no new name", "false names, in cases", "above .9: right",
+         "nothing planted: names above .9", "named first, of all")  # fmt: skip
+
+
+def score(work: Path, names: Sequence[str], sizes: Sequence[float]) -> None:
+    """A table: a line a log, and one of all; and what is named without anything planted."""
+    classes, total, lines = stored()["cases"], Counter[str](), []
+    print(f"| {' | '.join(HEADS)} |\n|{'---|' * len(HEADS)}")
+    for folder in (work / name for name in names if (work / name / "none.json").exists()):
+        none, counts = json.loads((folder / "none.json").read_text()), Counter[str]()
+        counts["named above .9"] = sum(w["how_sure"] >= SET_MASS for w in none["which"])
+        for size in sizes:
             for file in sorted(folder.glob(f"*-{size:g}.json")):
-                case = json.loads(file.read_text())
-                if abs(case["planted"]["size"] / size - 1) > 0.3:
-                    continue  # no plausible value is as large
-                rows.append(judged(case, none))
-                false.append(rows[-1][-1])
-        if rows:
-            cells = [f"{sum(r[k] for r in rows)} of {len(rows)}" for k in range(len(heads) - 2)]
-            cells.append("{} of {}".format(*(sum(r[-2][k] for r in rows) for k in (0, 1))))
-            print(f"| {size:g} | {' | '.join(cells)} |")
-    low, high = wilson(sum(map(bool, false)), len(false))
-    print(
-        f"\nnames that are neither planted nor there without: {sum(false)} in {len(false)} cases,"
+                known = classes.get(f"{folder.name}-{file.stem}", {})
+                counts += counted(json.loads(file.read_text()), none, known.get("class", ""))
+        print(line(folder.name, counts))
+        total += counts
+        before = ", ".join(f"{w['effect']} {w['joints']}" for w in none["which"])
+        lines.append(f"- {folder.name}: {none['status']}: {before or 'nothing'}")
+    print(line("all", total))
+    low, high = wilson(total["with false"], total["cases"])
+    print(f"\ncases with false names: {low:.0%} - {high:.0%}; without anything planted:\n")
+    print("\n".join(lines))
+
+
+def line(name: str, counts: Counter[str]) -> str:
+    """Of the table."""
+    of = "{} of {}".format
+    cells = (
+        name,
+        *(of(counts[f"right {c}"], counts[c]) for c in ("decidable", "ambiguous", "silent")),
+        f"{counts['false']}, in {of(counts['with false'], counts['cases'])}",
+        of(counts["sure and right"], counts["sure"]),
+        str(counts["named above .9"]),
+        of(counts["first"], counts["cases"]),
     )
-    print(f"in {sum(map(bool, false))} of them ({low:.0%} - {high:.0%})\n")
-    for folder, none in unplanted.items():
-        names = ", ".join(f"{w['effect']} {w['joints']}" for w in none["which"])
-        print(f"- {folder.name}: {none['status']}: {names or 'nothing'}")
+    return f"| {' | '.join(cells)} |"
 
 
-def names_it(
-    key: dict[str, Any], claim: dict[str, Any], *, in_set: bool = False, branch: bool = False
-) -> bool:
-    """Whether a claim names what was planted at a joint that feels it; or holds it in its set, or
-    is of its branch of the tree of causes."""
+def counted(case: dict[str, Any], none: dict[str, Any], known: str) -> Counter[str]:
+    """What one case adds to the sums of its line; `known` is its class."""
+    verdict = judged(case, none)
+    right = {
+        "decidable": verdict.first,
+        "ambiguous": verdict.small_set,
+        "silent": not verdict.new,
+    }
+    kind = "silent" if known in ("undecidable", "below") else known
+    out = Counter(
+        {
+            "cases": 1,
+            "first": int(verdict.first),
+            "false": verdict.false,
+            "with false": int(verdict.false > 0),
+            "sure": verdict.sure,
+            "sure and right": verdict.sure_right,
+        }
+    )
+    if kind in right:
+        out.update({kind: 1, f"right {kind}": int(right[kind])})
+    return out
+
+
+def names_it(key: dict[str, Any], claim: dict[str, Any], *, in_set: bool = False) -> bool:
+    """Whether a claim names what was planted at a joint that feels it, or holds it in its set."""
     places = {j + 1 for j in (*key["joints"], *key["felt_by"])}
     right = set(key.get("right", [key["effect"]]))
     also = claim.get("ambiguous_with", ()) if in_set else ()
     # Felt by no joint as much as by another: it is the whole arm's.
     near = not claim["joints"] or not places or bool(places & set(claim["joints"]))
-    if branch and key["effect"] in KINDS:
-        return near and KINDS[key["effect"]].branch == claim.get("branch")
     return near and bool(right & {claim["effect"], *also})
 
 
@@ -301,38 +367,49 @@ def identity(claim: dict[str, Any]) -> tuple[str, ...]:
     return claim["effect"], *map(str, claim["joints"])
 
 
-Verdict = tuple[bool, bool, bool, bool, bool, bool, tuple[int, int], int]
+class Verdict(NamedTuple):
+    """Of an answer.
+
+    Attributes:
+        first: whether the first new name is right, or a name that was there before.
+        small_set: whether a set of at most so many holds the truth.
+        new: names that were not there before.
+        false: those of them whose set does not hold the truth.
+        sure, sure_right: new names above .9 at the effect's own level, and how many are right.
+    """
+
+    first: bool
+    small_set: bool
+    new: int
+    false: int
+    sure: int
+    sure_right: int
 
 
 def judged(case: dict[str, Any], none: dict[str, Any]) -> Verdict:
-    """Whether the first new name is right, any name is, any set holds it, the first of new names
-    and suspects is right, any entry of the answer holds it, a name of its branch is there; how many
-    new names above .9 at the effect's own level are right, and of how many; false names."""
-    key, answer = case["planted"], case["answer"]
+    """An answer beside that of the log without anything planted."""
+    key, names = case["planted"], case["answer"]["which"]
     before = {identity(w) for w in none["which"]}
-    suspected = {identity(s) for s in none.get("suspects", ())}
-    new = [w for w in answer["which"] if identity(w) not in before]
-    likely = answer.get("suspects", [])
-    listed = [*new, *(s for s in likely if identity(s) not in suspected or names_it(key, s))]
-    every = [*answer["which"], *likely, *answer.get("small", ())]
-    named = [w for w in answer["which"] if names_it(key, w)]
+    new = [w for w in names if identity(w) not in before]
     sure = [w for w in new if w["how_sure"] >= SET_MASS and not w.get("one_of_a_set")]
     # Known on the joint before it was planted, it can only change its size.
     known = any(names_it(key, w) for w in none["which"] if w["joints"])
-    first = (bool(new) and names_it(key, new[0])) or (known and bool(named))
-    return (
-        first,
-        bool(named),
-        any(names_it(key, w, in_set=True) for w in answer["which"]),
-        first or (bool(listed) and names_it(key, listed[0])),
-        any(names_it(key, c, in_set=True) for c in every),
-        any(names_it(key, w, branch=True) for w in answer["which"]),
-        (sum(names_it(key, w) for w in sure), len(sure)),
+    return Verdict(
+        (bool(new) and names_it(key, new[0])) or (known and any(names_it(key, w) for w in names)),
+        any(
+            names_it(key, w, in_set=True)
+            and len({w["effect"], *w.get("ambiguous_with", ())}) <= MOST
+            for w in names
+        ),
+        len(new),
         sum(not names_it(key, w, in_set=True) for w in new),
+        len(sure),
+        sum(names_it(key, w) for w in sure),
     )
 
 
-def main() -> None:
+def main(answer: Answer = answer, given: Sequence[str] | None = None) -> None:
+    """The command; another diagnosis may answer."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--work", type=Path, required=True)
@@ -343,14 +420,15 @@ def main() -> None:
     )
     parser.add_argument("--band", type=float, default=8.0, help="sizes are measured below it [Hz]")
     parser.add_argument("--part", default="1/1", help="k/n: the k-th of n parts of the effects")
+    parser.add_argument("--plants", type=Path, help="models and planted logs, if not in --work")
     parser.add_argument("--score", action="store_true")
-    args = parser.parse_args()
+    args = parser.parse_args(given)
     if args.score:
-        score(args.work, args.sizes)
+        score(args.work, args.logs, args.sizes)
         return
     torch.set_num_threads(1)
     for label in args.logs:
-        run(label, SOURCES[label], args.data, args.work, args)
+        run(label, SOURCES[label], args.data, args.work, args, answer)
 
 
 if __name__ == "__main__":

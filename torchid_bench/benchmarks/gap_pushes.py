@@ -23,7 +23,8 @@ from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot
 from torchid.statistics.proportion import wilson
 from torchid_bench.benchmarks.gap_plant import generator
-from torchid_bench.benchmarks.gap_planted import SOURCES, Source, answer, modelled, settings_of
+from torchid_bench.benchmarks.gap_planted import answer, modelled, settings_of
+from torchid_bench.benchmarks.planted_cases import SOURCES, Source
 
 FLANK = 0.03
 """Time in which the force comes and goes [s]."""
