@@ -343,6 +343,11 @@ class Candidate:
         """As in the file: name and joints, from 1."""
         return [self.name, [j + 1 for j in self.joints]]
 
+    def forbids(self, value: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Which of its coefficients (C,) are, with this covariance (C, C), none of any arm."""
+        std = BEYOND * np.sqrt(covariance.diagonal())
+        return (value < self.low - std) | (value > self.high + std)
+
     def precision(self, half: Half, products: np.ndarray | None = None) -> np.ndarray:
         """(C, C) of its coefficients beforehand, see `TIMES_GAP`; `products` (m, C, C) of its
         columns with each other, joint by joint, where they are known."""
@@ -459,7 +464,8 @@ def left_open(half: Half) -> Terms:
 def ranked(
     half: Half, base: Terms, offered: Sequence[Candidate], effective: np.ndarray
 ) -> list[Candidate]:
-    """Candidates by the rise of the evidence to first order, the best shape of each alone."""
+    """Candidates by the rise of the evidence to first order, the best shape of each alone; none
+    whose one coefficient would be one that no arm has."""
     of = base.fit(effective)
     weight, left, best = effective / of.losses, base.left(of), dict[object, Any]()
     for felt, group in itertools.groupby(sorted(offered, key=lambda c: c.felt), lambda c: c.felt):
@@ -476,7 +482,11 @@ def ranked(
             into = independent(c.precision(half, products[:, own, own]))
             h = np.eye(into.shape[1]) + into.T @ whole[own, own] @ into
             b = into.T @ right[own]
-            rise = 0.5 * (b @ np.linalg.solve(h, b) - np.linalg.slogdet(h)[1])
+            inverse = np.linalg.inv(h)
+            rise = 0.5 * (b @ inverse @ b - np.linalg.slogdet(h)[1])
+            value, covariance = into @ inverse @ b, into @ inverse @ into.T
+            if len(value) == 1 and c.forbids(value, covariance).all():
+                continue
             if c.key not in best or rise > best[c.key][0]:
                 best[c.key] = rise, c
     return [c for _, c in sorted(best.values(), key=lambda p: -p[0])]
@@ -493,8 +503,7 @@ def possible(
         of = base.with_(x).fit(effective)
         first = len(base.columns)
         value = into @ of.z[first:]
-        std = np.sqrt(np.einsum("ck,kl,cl->c", into, of.covariance[first:, first:], into))
-        wrong = (value < c.low - BEYOND * std) | (value > c.high + BEYOND * std)
+        wrong = c.forbids(value, into @ of.covariance[first:, first:] @ into.T)
         wrong &= c.columns.any((1, 2))
         if not wrong.any():
             return c, value
@@ -536,8 +545,10 @@ def already_there(half: Half, offered: Sequence[Candidate]) -> list[Candidate]:
     while len(out) < MOST_THERE:
         keys = {c.key for c in out}
         rest = [c for c in offered if c.key not in keys]
-        some = ranked(half, base, rest, half.gap.rows)[:FITTED]
-        each = [p for c in some if (p := possible(half, base, c, half.gap.rows)) is not None]
+        some = (
+            possible(half, base, c, half.gap.rows) for c in ranked(half, base, rest, half.gap.rows)
+        )
+        each = list(itertools.islice((p for p in some if p is not None), FITTED))
         each = [refined(half, base, p, half.gap.rows) for p in each]
         gains = [nats(base.with_(c.scaled(half)[0]), base) for c, _ in each]
         if not gains or max(gains) < ALREADY_THERE:
@@ -579,11 +590,11 @@ def classified(known: Known, case: Case, log: Log, cutoff: float | None) -> dict
         base = base.with_(c.scaled(half)[0])
     true = base.with_(truth.scaled(half)[0])
     nothing = nats(true, base)
-    effective = telling(half.gap, true.left(true.fit(comparable(true, base))))
+    effective = comparable(true, base)
     # Rivals, the likeliest first; those of the same torque beside the truth add nothing.
     rest = [c for c in offered if not c.is_of(key)]
-    rest = ranked(half, base, rest, effective)[:RANKED]
-    found = [p for c in rest if (p := possible(half, base, c, effective)) is not None]
+    some = (possible(half, base, c, effective) for c in ranked(half, base, rest, effective))
+    found = list(itertools.islice((p for p in some if p is not None), RANKED))
     alone = true.fit(effective).evidence
 
     def instead(c: Candidate) -> float:
