@@ -34,7 +34,6 @@ SMALLER = {
     " --runs 10": " --runs 2 --stages 2",
     "3r --kind random": "3r --kind random --duration 5",
     "--workers 8": "--workers 1",
-    "torchid withheld own": "true own",
     # In a folder of its own: a project file holds for every command below it.
     "torchid init": "mkdir short; cp my_arm.urdf run[234].csv short; cd short; torchid init",
     # What this arm's diagnosis leaves open, its vertical first joint, no motion can show.

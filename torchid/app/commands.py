@@ -24,7 +24,6 @@ from torchid.app.project import Group, add, group
 from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import Debug
 from torchid.app.simulate import simulate_command
-from torchid.app.withheld import own_command
 from torchid.other_packages import COMMANDS, loaded
 
 app = typer.Typer(
@@ -37,7 +36,7 @@ app = typer.Typer(
 withheld_app = group(
     "withheld",
     "Check the diagnosis on data whose cause was withheld from it.",
-    [*(loaded(COMMANDS[f"withheld {name}"]) for name in ("make", "run", "score")), own_command],
+    [loaded(COMMANDS[f"withheld {name}"]) for name in ("make", "run", "score")],
 )
 for _one in (
     init_command, robot_command, excite_command, simulate_command, log_app, identify_command,

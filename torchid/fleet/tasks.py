@@ -29,7 +29,7 @@ from torchid.fleet.factors import (
 from torchid.fleet.factors import combined as both
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
-from torchid.fleet.reading import first_minute, stretches, temperature_of
+from torchid.fleet.reading import first_minute, stretches
 from torchid.fleet.record import Judged, LogRow
 from torchid.log.model import Log
 from torchid.parallel.store import Answer, Store, content_hash, key_of, local_file, stamp
@@ -49,11 +49,9 @@ class LogAnswer(LogRow, frozen=True, kw_only=True):
     """What became of a log, and what its row in the JSON leaves out.
 
     Attributes:
-        temperature: mean of the log's column `temperature` [degC]; None without one.
         stored: whether the answer was there already.
     """
 
-    temperature: float | None = None
     stored: bool = False
 
     @classmethod
@@ -176,7 +174,6 @@ def _reduced(
         "noise": tuple(reduced.fit.noise.tolist()),
         "correlation": reduced.correlation,
         "blocks": len(reduced.factors.rows),
-        "temperature": temperature_of(path),
     }
     verdict: Judged = "doubtful" if evidence else "good"
     return (verdict, [*evidence, *reduced.warnings], more), reduced.factors

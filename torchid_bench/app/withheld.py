@@ -1,6 +1,7 @@
 """`torchid withheld make, run, score`: sealed cases of the independent plant."""
 
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,13 +11,30 @@ from torchid.app import options as opt
 from torchid.app.inputs import PLACE
 from torchid.app.output import Kept, Printed
 from torchid.app.signature import Switch, command
-from torchid.app.withheld import Workers
 
 SetArgument = Annotated[
     Path,
     typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`."),
     PLACE,
 ]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        jobs: Processes, of one thread each (default: all cores).
+    """
+
+    jobs: Annotated[int | None, typer.Option(min=1)] = None
+
+    @property
+    def count(self) -> int:
+        """Of processes; all cores that this one may use, by default."""
+        from joblib import cpu_count
+
+        return self.jobs or cpu_count()
 
 
 @command
