@@ -11,7 +11,6 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
-from torchid.app.project import group
 from torchid.app.signature import Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
@@ -198,8 +197,4 @@ def _say_part(
     output.warn(map(": ".join, unused))
 
 
-fleet_app = group(
-    "fleet",
-    "Many units of one robot type: the type, its spread, the odd ones.",
-    [identify_command, gap_command],
-)
+FLEET = identify_command, gap_command

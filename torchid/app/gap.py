@@ -12,7 +12,6 @@ from torchid.app import options as opt
 from torchid.app.export import Simulated
 from torchid.app.inputs import RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Diagnosed, Output
-from torchid.app.project import current
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
@@ -191,10 +190,9 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
             got="--real alone" if asked.real else "--simulated alone",
             expected="--simulated SIM --real REAL",
         )
-    own = current().logs
     others = {
-        "LOG": trials.logs and not own,
-        "--held-out": trials.held_out and not current().held_out,
+        "LOG": trials.logs,
+        "--held-out": trials.held_out,
         "--to": asked.to,
         "--view": asked.view,
     }

@@ -32,7 +32,7 @@ from torchid.fleet.model import FleetModel
 from torchid.fleet.reading import first_minute, stretches
 from torchid.fleet.record import Judged, LogRow
 from torchid.log.model import Log
-from torchid.parallel.store import Answer, Store, content_hash, key_of, local_file, stamp
+from torchid.parallel.store import Answer, Store, content_hash, key_of, local_file
 from torchid.parallel.workers import Failure
 
 
@@ -119,12 +119,12 @@ def answered(
     torch.set_num_threads(1)
     model.require_same_version()
     with local_file(log.path) as path:
-        before, digest = stamp(path), content_hash(path)
+        digest = content_hash(path)
         key = key_of({**question, "log": digest, "model": model.key})
 
         def of_whole_log() -> Answer:
             answer = compute(path)
-            if stamp(path) != before:
+            if content_hash(path) != digest:
                 raise ChangedError(f"'{log.path}' changed while it was read.")
             return answer
 
