@@ -29,7 +29,7 @@ from torchid.simulation.sensors import Sensors, measured_log
 SEARCH = ("--runs", 3, "--stages", 2, "--generations", 4)
 FRICTION = {"effect": "coulomb_friction", "joint": 2, "Fc": 0.6}
 FEW = ("--effects", "coulomb_friction,viscous_friction,torque_offset")
-NEVER = ("--effects", "torque_offset", "--parameters", "trusted", "--no-rollout")
+NEVER = ("--effects", "torque_offset", "--parameters", "trusted")
 
 
 @dataclass(frozen=True)
@@ -231,11 +231,10 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     ),
     "fleet_gap": _fleet_gap,
     "gap_detected_unexplained": lambda b: b.gap("friction", *NEVER),
-    "gap_explained": lambda b: b.gap("friction", *FEW, "--no-rollout"),
-    "gap_no_gap": lambda b: b.gap("none", *FEW, "--no-rollout"),
-    "gap_not_testable": lambda b: b.gap("short", *FEW, "--no-rollout"),
-    "gap_parametric_only": lambda b: b.gap("heavy", *FEW, "--no-rollout"),
-    "gap_rollout": lambda b: b.gap("friction", "--effects", "coulomb_friction"),
+    "gap_explained": lambda b: b.gap("friction", *FEW),
+    "gap_no_gap": lambda b: b.gap("none", *FEW),
+    "gap_not_testable": lambda b: b.gap("short", *FEW),
+    "gap_parametric_only": lambda b: b.gap("heavy", *FEW),
     "identify": lambda b: b.run(
         "identify", "3r_friction", b.friction(), "--held-out", b.friction(9, 1), "--cutoff", 8
     ),
@@ -244,7 +243,7 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "pair_fault": _pair_fault,
     "payload": _payload,
     "randomisation": lambda b: b.run(
-        "export", b.kept("gap.json", b.gap("friction", *FEW, "--no-rollout")), "--randomise", 0.95,
+        "export", b.kept("gap.json", b.gap("friction", *FEW)), "--randomise", 0.95,
         "--draws", 16, "--out", b.folder / "randomised",
     ),
     "robot": lambda b: b.run("robot", "3r_friction"),
@@ -262,5 +261,5 @@ SLOW = (
 )  # fmt: skip
 """Those that take longer."""
 
-LONG = ("atlas", "correct", "gap_rollout", "wrenches")
+LONG = ("atlas", "correct", "wrenches")
 """Those that take longer than CI has for them."""

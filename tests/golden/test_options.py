@@ -40,6 +40,5 @@ def test_the_table_holds_what_users_write() -> None:
     gap = stored()["gap"]
     assert "-q" in gap["--quiet"]["names"]
     assert gap["--parameters"]["type"] == "choice of trusted, free, auto"
-    assert gap["--rollout"]["names"] == ["--rollout", "--no-rollout"]
     assert gap["<logs>"]["type"] == "list of path"
     assert stored()["log show"]

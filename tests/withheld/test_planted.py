@@ -23,7 +23,7 @@ LOG = logged(REAL, (3, 4, 3), 5)
 def diagnosis():
     """Friction of joint 2; the library is small, to be quick."""
     effects = ("coulomb_friction", "viscous_friction", "torque_offset", "joint_spring")
-    return diagnose_torque(ROBOT, LOG, settings=replace(QUICK, effects=effects, rollout=False))
+    return diagnose_torque(ROBOT, LOG, settings=replace(QUICK, effects=effects))
 
 
 def test_torque_on_a_grid_is_added_at_the_log_s_own_stamps():

@@ -147,9 +147,7 @@ def identify_command(
 def gap_command(
     *,
     units: Units,
-    settings: Annotated[
-        GapSettings, opt.GAP.only("effects background parameters seed", rollout=False)
-    ],
+    settings: Annotated[GapSettings, opt.GAP.only("effects background parameters seed")],
     force: Switch = False,
     engine: Engine,
     output: Reported,

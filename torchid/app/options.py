@@ -166,7 +166,7 @@ Cutoff = float | Literal["auto"] | None
 FilterCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto|none"), Parsed(cutoff_hz, "none")]
 _Share = Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99)]
 GAP = Fields(
-    "rollout held_out_fraction",
+    "held_out_fraction",
     effects=Searched,
     background=FittedEffects,
     cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],

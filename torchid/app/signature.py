@@ -41,7 +41,7 @@ _REST = "*"
 _PANELS = (
     ("Options", "to result loaded effects effect servo * held_out save out report save_model"),
     ("Two logs", "simulated real"),
-    ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects rollout"),
+    ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects"),
     ("Search", "calibrate"),
     ("Search", "runs stages generations population penalty schedule engine certificate"),
     ("Fit", "cutoff held_out_fraction rows reversal method covariance signs essential"),

@@ -201,7 +201,7 @@ def calibrate(
     diagnosis.corrected.require_fixed_base("the calibration")
     if count < 1:
         raise TorchidError("a calibration plants causes.", got=count, expected="1 or more")
-    again = replace(diagnosis.settings, background=(), parameters="auto", rollout=False)
+    again = replace(diagnosis.settings, background=(), parameters="auto")
     # Of an arm that is seen for the first time nobody knows how sure its numbers are.
     model = replace(diagnosis.corrected, knowledge=None)
     bed = Bed(model, log, replace(again, held_out_fraction=0.0))

@@ -82,7 +82,6 @@ def make_command(
 def run_command(
     *,
     folder: SetArgument,
-    rollout: bool = False,
     again: Switch = False,
     workers: Workers,
     output: Printed,
@@ -92,14 +91,14 @@ def run_command(
     Example: `torchid withheld run cases --jobs 2`
 
     Args:
-        rollout: Simulate short motions with the model before and after; no score needs it.
         again: Replace answers of another torchid, or with other settings.
     """
+    from torchid.gap.settings import GapSettings
     from torchid_bench.withheld.case_set import read_cases
-    from torchid_bench.withheld.run import ERROR, default_settings, jobs_of, run
+    from torchid_bench.withheld.run import ERROR, jobs_of, run
 
     found = read_cases(folder)
-    todo = jobs_of(found, default_settings(rollout=rollout))
+    todo = jobs_of(found, GapSettings())
     with output.progress() as progress:
         answers = run(todo, jobs=workers.count, again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}

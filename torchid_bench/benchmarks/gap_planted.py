@@ -117,7 +117,7 @@ def halves(source: Source, data: Path) -> tuple[Robot, Log, Log]:
 
 
 def settings_of(source: Source, **more: Any) -> GapSettings:
-    return GapSettings(rollout=False, cutoff=source.cutoff or "auto", **more)
+    return GapSettings(cutoff=source.cutoff or "auto", **more)
 
 
 def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
