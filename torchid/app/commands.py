@@ -53,7 +53,7 @@ class Group(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that is named, unless it is gone."""
-        _require_there(f"{_path(ctx)} {args[0]}".strip())
+        _require_there(ctx, f"{_path(ctx)} {args[0]}".strip())
         return super().resolve_command(ctx, args)
 
 
@@ -65,24 +65,24 @@ class Command(TyperCommand):
         show_command(ctx.command_path, self.help or "", OPTIONS[_path(ctx)])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Raise where an option is gone, or a project file lies that said what is not given."""
+        """Raise where an option is gone, or a project file would have said what is not given."""
         for option in (arg.partition("=")[0] for arg in args if arg.startswith("--")):
-            _require_there(option)
-        if "--help" not in args and any(param.name == "tip" for param in self.params):
-            here = Path.cwd()
-            for file in (folder / PROJECT for folder in (here, *here.parents)):
-                if file.is_file():
-                    raise TorchidError(
-                        "project files are no longer read.",
-                        got=str(file),
-                        hint=f"{GONE['--project']}; limits and payload stand in the robot's file. "
-                        "Then take this one away",
-                    )
+            _require_there(ctx, option)
+        here = Path.cwd()
+        file = next((f for x in (here, *here.parents) if (f := x / PROJECT).is_file()), None)
+        of_one_robot = any(param.name == "tip" for param in self.params)
+        if file and of_one_robot and "--help" not in args and not ctx.resilient_parsing:
+            raise TorchidError(
+                "project files are no longer read.",
+                got=str(file),
+                hint=f"{GONE['--project']}; limits and payload stand in the robot's file. Then "
+                "take this one away",
+            )
         return super().parse_args(ctx, args)
 
 
-def _require_there(name: str) -> None:
-    if name in GONE:
+def _require_there(ctx: Any, name: str) -> None:
+    if name in GONE and not ctx.resilient_parsing:  # a shell that completes shows no error
         raise TorchidError(f"{name} is gone.", hint=GONE[name])
 
 
