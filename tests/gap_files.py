@@ -35,7 +35,7 @@ def gap(robot: Robot, **changes: Any) -> dict[str, Any]:
         "where": {"joints": [], "regimes": []}, "which": [],
         "how_far": {
             "rms_before": 1.0, "rms_after": 0.1, "noise_floor_rms": [0.1, 0.2], "closed": 0.9,
-            "closed_ci95": [0.8, 1.0], "per_joint": [], "rollout": None,
+            "closed_ci95": [0.8, 1.0], "per_joint": [],
         },
         "budget": {"parametric": 0.0, "structural": 0.9, "unexplained": 0.1},
         "not_testable": [], "next_experiment": None,

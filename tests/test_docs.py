@@ -63,13 +63,7 @@ def test_command_parses(arguments: list[str]) -> None:
     while True:
         name = arguments[0] if context else "torchid"
         rest = arguments[1:] if context else arguments
-        try:
-            context = command.make_context(name, list(rest), parent=context)
-        except typer.BadParameter as missing:
-            # A project file gives the robot and the logs, where a page leaves them out.
-            if getattr(missing.param, "name", None) not in ("robot", "logs", "params"):
-                raise
-            return
+        context = command.make_context(name, list(rest), parent=context)
         if not hasattr(command, "get_command"):
             return
         arguments = list(rest)

@@ -23,7 +23,7 @@ from torchid.robot.model import Robot
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
 LONG = (
     "Diagnosis", "correct", "diagnose", "equal_torque_study", "examine",
-    "excite_for", "randomise", "withheld_own",
+    "excite_for", "randomise",
 )  # fmt: skip
 """Names whose example takes more than half a second."""
 

@@ -53,7 +53,6 @@ _PUBLIC = PUBLIC | {
     "replay": "torchid.position.replay",
     "compare_pair": "torchid.pair.pair",
     "calibrate": "torchid.withheld.planted",
-    "withheld_own": "torchid.withheld.own",
     "compare_results": "torchid.fleet.compare",
     "excite_for": "torchid.next_motion.design",
     "load": "torchid.results.files",

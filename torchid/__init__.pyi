@@ -45,7 +45,6 @@ from torchid.robot.model import Robot as Robot
 from torchid.robot.model import tool_pose as tool_pose
 from torchid.robot.writer import write_robot as write_robot
 from torchid.simulation.sensors import HonestNoise as HonestNoise
-from torchid.withheld.own import withheld_own as withheld_own
 from torchid.withheld.planted import calibrate as calibrate
 from torchid_study.equal_torque.given_sets import compare_wrenches as compare_wrenches
 from torchid_study.equal_torque.study import equal_torque_study as equal_torque_study

@@ -54,7 +54,7 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
     """`gap --for` judges by folds, and its JSON with the logs gives the same file."""
     record, out = tmp_path / "gap.json", tmp_path / "out"
     done = command(
-        "gap", "3r", *runs, *FEW, "--no-rollout", "--json", record, "--for", "mjcf", "--out", out
+        "gap", "3r", *runs, *FEW, "--json", record, "--for", "mjcf", "--out", out
     )  # fmt: skip
     assert done.code == 0, done.err
     # What --json asked for is the diagnosis.

@@ -126,7 +126,7 @@ def test_how_wide_to_randomise(tmp_path):
     from torchid.gap.diagnose import diagnose
     from torchid.gap.settings import GapSettings
 
-    settings = GapSettings(effects=("coulomb_friction",), rollout=False)
+    settings = GapSettings(effects=("coulomb_friction",))
     log = logged(arm(friction(2, Fc=1.0)), Recording(ONCE, duration=4.0))
     gap = tmp_path / "gap.json"
     diagnose(ROBOT, log, settings=settings).save(gap)

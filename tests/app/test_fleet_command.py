@@ -35,7 +35,7 @@ def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path
     done = command("fleet", "identify", "3r_friction", folder, *EFFECTS, "--save-model", model)
     assert done.code == 0, done.err
     log = next(folder.rglob("*.parquet"))
-    done = command("gap", model, log, "--no-rollout", "--json", tmp_path / "gap.json")
+    done = command("gap", model, log, "--json", tmp_path / "gap.json")
     assert done.code == 0, done.err
     said = json.loads((tmp_path / "gap.json").read_text())
     assert said["knowledge"]["sources"] == ["2 units in 4 sessions"]

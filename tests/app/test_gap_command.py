@@ -66,7 +66,7 @@ def test_help_has_an_example(command):
     shown = command("gap", "--help")
     assert shown.code == 0
     assert "Example" in shown.out
-    for option in ("--effects", "--background", "--parameters", "--save-model", "--no-rollout"):
+    for option in ("--effects", "--background", "--parameters", "--save-model"):
         assert option in shown.out
 
 
@@ -90,7 +90,7 @@ def runs(tmp_path_factory):
     return path
 
 
-FEW = ("--effects", "coulomb_friction,viscous_friction", "--no-rollout")
+FEW = ("--effects", "coulomb_friction,viscous_friction")
 
 
 def test_friction_is_found_and_the_saved_model_has_it(command, runs, tmp_path, types_unchecked):
@@ -207,7 +207,7 @@ def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
         done = command("simulate", "3r", path, "--effect", friction, "--to", logs[-1], "--seed", k)
         assert done.code == 0, done.err
     target = tmp_path / "gap.json"
-    done = command("gap", "3r", *logs, "--no-rollout", "--json", target)
+    done = command("gap", "3r", *logs, "--json", target)
     assert done.code == 0, done.err
     said = json.loads(target.read_text())
     assert said["status"] in ("explained", "detected_unexplained")
@@ -251,7 +251,7 @@ def test_logs_of_commands_that_are_refused(tmp_path, command, commanded, change,
 def test_a_view_for_a_viewer(command, folder, tmp_path):
     reader = pytest.importorskip("mcap.reader")
     effects = "viscous_friction,coulomb_friction"
-    options = ("--effects", effects, "--no-rollout", "--view", tmp_path / "gap.mcap")
+    options = ("--effects", effects, "--view", tmp_path / "gap.mcap")
     done = command("gap", "3r", folder / "check.csv", *options)
     assert done.code == 0, done.err
     assert "gap.mcap" in done.out

@@ -28,7 +28,7 @@ FILES = ("robot", "params", "result")
 
 
 def _is_input(option: Option) -> bool:
-    files = option.takes[0] or (option.name in FILES and option.name != "robot_name")
+    files = option.takes_paths or (option.name in FILES and option.name != "robot_name")
     return files and WRITTEN not in option.said and PLACE not in option.said
 
 

@@ -206,9 +206,7 @@ def test_other_formats_give_the_same_answer(command, folder, foreign, tmp_path, 
     assert results[1] == pytest.approx(results[0], rel=1e-6, abs=1e-8)
 
 
-@pytest.mark.parametrize(
-    "arguments", [["identify"], ["gap"], ["payload", "--loaded", "LOG"], ["withheld", "own"]]
-)
+@pytest.mark.parametrize("arguments", [["identify"], ["gap"], ["payload", "--loaded", "LOG"]])
 def test_every_command_that_reads_logs_takes_the_mapping(command, foreign, arguments):
     """It is refused for the unit, before anything is computed."""
     path, _ = foreign

@@ -47,7 +47,6 @@ COMMANDS = {
     "payload of logs without it": "payload 3r LOG --loaded GOOD",
     "correct": "correct 3r LOG --to urdf --effects coulomb_friction",
     "pair": "gap 3r --simulated LOG --real LOG --effects coulomb_friction",
-    "withheld": "withheld own 3r LOG --held-out LOG --jobs 1",
 }
 
 

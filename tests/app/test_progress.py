@@ -59,7 +59,7 @@ def test_quiet_is_quiet_on_a_terminal_too() -> None:
     [
         (("identify", "3r_friction", "check.csv"), {"checking the log", "predicting"}),
         (
-            ("gap", "3r_friction", "check.csv", "--effects", "torque_offset", "--no-rollout"),
+            ("gap", "3r_friction", "check.csv", "--effects", "torque_offset"),
             {"preparing", "searching for effects", "judging", "locating"},
         ),
     ],

@@ -67,7 +67,7 @@ def test_gap(command, folder, tmp_path, monkeypatch):
 
     monkeypatch.setattr("torchid.gap.diagnose.diagnose", diagnose)
     page, data = tmp_path / "gap.html", tmp_path / "gap.json"
-    few = ("--effects", "coulomb_friction,viscous_friction", "--no-rollout")
+    few = ("--effects", "coulomb_friction,viscous_friction")
     log = folder / "check.csv"
     done = command("gap", "3r", log, *few, "--report", page, "--json", data, "--quiet")
     assert done.code == 0, done.err

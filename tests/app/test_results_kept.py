@@ -52,15 +52,3 @@ def test_a_run_that_fails_leaves_no_empty_folder(command, broken, tmp_path, out,
     done = command("identify", "3r_friction", log, "--cutoff", "none", "--out", target)
     assert done.code == 1, done.out
     assert sorted(os.walk(tmp_path)) == before
-
-
-def test_the_folder_that_a_project_names_holds_the_latest_results(
-    command, folder, tmp_path, monkeypatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    log = folder / "check.csv"
-    (tmp_path / "torchid.toml").write_text(f'robot = "3r"\nlogs = ["{log}"]\nout = "results"\n')
-    for _ in range(2):
-        assert command("log", "doctor", "--quiet").code in (0, 1)
-        assert (tmp_path / "results" / "doctor" / "doctor.json").is_file()
-    assert "--overwrite" not in command("log", "doctor", "--quiet").err

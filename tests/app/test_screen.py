@@ -52,7 +52,7 @@ def test_the_answer_is_one_screen(log: Path, columns: int, tmp_path: Path) -> No
     effects = "viscous_friction,coulomb_friction,torque_offset"
     lines = lines_of(
         columns, tmp_path, "gap", "kuka_lwr4", str(log), "--effects", effects, "--out", "gap",
-        "--save-model", "c.yaml", "--no-rollout",
+        "--save-model", "c.yaml",
     )  # fmt: skip
     assert len(lines) <= LINES, "\n".join(lines)
     assert max(map(len, lines)) <= columns, "\n".join(lines)

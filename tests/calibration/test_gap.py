@@ -82,7 +82,7 @@ def outcome(case: Case) -> Outcome:
         effects = ({"effect": case.name, "joint": 2, **PLANTED[case.name]},)
     real = replace(ROBOT, effects=effects)
     found = diagnose_torque(
-        ROBOT, logged(real, case.seed, case.correlation), settings=GapSettings(rollout=False)
+        ROBOT, logged(real, case.seed, case.correlation), settings=GapSettings()
     )
     ours = [f for f in found.findings if (f.effect.name, f.joints) == (case.name, (1,))]
     named = len(ours) == len(found.findings) == 1

@@ -73,7 +73,7 @@ def named(found: TorqueDiagnosis) -> list[tuple[str, tuple[int, ...]]]:
 
 @pytest.mark.nightly
 def test_a_link_side_encoder_shows_what_torques_do_not():
-    log, settings = flexible(SOFT), GapSettings(rollout=False)
+    log, settings = flexible(SOFT), GapSettings()
     found = diagnose_torque(ROBOT, log, settings=settings)
     assert named(found) == [("joint_elasticity", (JOINT,))]
     (finding,) = found.findings

@@ -68,7 +68,7 @@ def test_a_rigid_joint_does_not_swing(tmp_path: Path, late: int) -> None:
 
 def test_the_diagnosis_names_it(tmp_path: Path) -> None:
     robot, log = logged(tmp_path, 10.0)
-    settings = GapSettings(effects=("joint_elasticity", "viscous_friction"), rollout=False)
+    settings = GapSettings(effects=("joint_elasticity", "viscous_friction"))
     found = diagnose_torque(robot, log, settings=settings)
     assert [f.effect.name for f in found.findings] == ["joint_elasticity"]
     assert any("swings" in note for note in found.findings[0].notes)

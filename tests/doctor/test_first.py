@@ -60,7 +60,7 @@ def test_of_a_loaded_arm_torque_of_another_size_is_no_doubt():
 
 @pytest.mark.slow
 def test_forced_the_fault_is_said_first():
-    few = GapSettings(effects=("coulomb_friction",), rollout=False)
+    few = GapSettings(effects=("coulomb_friction",))
     with pytest.raises(WrongLogError):
         diagnose(ROBOT, negated(2), settings=few)
     found = diagnose(ROBOT, negated(2), settings=few, force=True)
@@ -73,7 +73,7 @@ def test_forced_the_fault_is_said_first():
 
 @pytest.mark.slow
 def test_forced_a_unit_that_looks_wrong_is_not_refused_again():
-    few = GapSettings(effects=("coulomb_friction",), rollout=False)
+    few = GapSettings(effects=("coulomb_friction",))
     degrees = SOUND.replace(q=SOUND.q.rad2deg(), dq=None)
     limits = torch.tensor([[-3.0, 3.0]] * 3, dtype=torch.float64)
     robot = replace(ROBOT, limits=replace(ROBOT.limits, position=limits))
@@ -96,7 +96,7 @@ def test_a_doubt_says_its_number_and_what_mends_it():
 @pytest.mark.parametrize("size", [3.0, 0.0])
 def test_a_doubt_that_the_answer_settles_is_gone_from_the_headline(size):
     log = logged(arm(friction(2, Fv=size)), Recording(ONCE, duration=6.0))
-    few = GapSettings(effects=("viscous_friction",), rollout=False)
+    few = GapSettings(effects=("viscous_friction",))
     doubts = Doubts("Doubt: torque is 12 ms late.", ("Caution: torque is 12 ms late.",))
     with patch("torchid.gap.diagnose.ask_first", return_value=doubts):
         found = diagnose(ROBOT, log, settings=few)

@@ -35,7 +35,7 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulation.shooting import starts_of, windows_of
-from torchid.simulation.two_models import rollouts
+from torchid.simulation.two_models import errors_after, simulated
 
 FIELDS = [
     {"effect": kind, "joint": j, name: value}
@@ -283,8 +283,7 @@ def test_a_copy_of_the_users_file_is_edited(write, tmp_path):
     slow = [{"effect": "viscous_friction", "joint": j + 1, "Fv": 3.0} for j in range(robot.n)]
     true = replace(bare, effects=(*dry, *slow))
     to = "mjcf" if path.suffix == ".xml" else "urdf"
-    settings = GapSettings(rollout=False)
-    done = correct(robot, true, log_of(true), to, tmp_path / "out", settings=settings)
+    done = correct(robot, true, log_of(true), to, tmp_path / "out")
     assert path.read_text() == before
     assert done.exports[0].original == path
     assert float(done.judged.engine.mean()) < 0.2 * float(done.judged.nominal.mean())
@@ -349,10 +348,10 @@ def test_mujoco_moves_as_torchid_does(tmp_path, monkeypatch):
     positions = InMujoco(path, written).positions(windows)
     step = round(0.5 / windows.dt)
     use = windows.steps >= step
-    error = (positions[use, step] - windows.q[use, step]).square().mean(0).sqrt()
-    own = rollouts(robot, robot, data.segments, (0.1, 0.5), max_starts=12)[0].horizons[1]
+    models = [positions, simulated(robot, windows)]
+    _, (error, own) = errors_after(0.5, models, windows)
     moved = (windows.q[use, step] - windows.q[use, 0]).square().mean(0).sqrt()
-    assert bool(((error - own.rms_after).abs() < 0.03 * moved).all())
+    assert bool(((error - own).abs() < 0.03 * moved).all())
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
@@ -414,7 +413,7 @@ def test_a_yaml_is_corrected_in_the_file_that_it_was_made_from(tmp_path):
     motion = trajectory_log(random_trajectory(arm("3r"), 1, duration=6.0, fill=True), 100.0)
     log = tmp_path / "run.parquet"
     write_log(synthetic_log(real, motion, HonestNoise(), 1), log)
-    settings = GapSettings(rollout=False, cutoff=10.0)
+    settings = GapSettings(cutoff=10.0)
     done = correct(saved, saved, log, "mjcf", tmp_path / "out", settings=settings)
     assert "by hand" in done.files[0].read_text()
     assert bool((done.judged.engine < 0.3 * done.judged.nominal).all())

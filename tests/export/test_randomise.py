@@ -31,7 +31,7 @@ TRUE = {("friction", "joint_1"): 1.0, ("friction", "joint_2"): 2.0, ("damping", 
 def found() -> GapRecord:
     robot = carrying(0.3, (0.05, 0.02, 0.04), 0.002)
     true = arm(friction(1, Fc=1.0), friction(2, Fc=2.0), friction(2, Fv=1.5), robot=robot)
-    settings = GapSettings(effects=KNOWN, rollout=False)
+    settings = GapSettings(effects=KNOWN)
     return diagnose_torque(
         ROBOT, logged(true, Recording(ONCE, duration=5.0)), settings=settings
     ).record
@@ -263,7 +263,7 @@ def test_ranges_hold_what_was_planted() -> None:
         pairs = [(friction(j + 1, Fc=fc[j]), friction(j + 1, Fv=fv[j])) for j in range(3)]
         true = arm(*(effect for pair in pairs for effect in pair))
         log = logged(true, Recording(ONCE, duration=4.0, seed=seed))
-        settings = GapSettings(effects=KNOWN[:2], rollout=False)
+        settings = GapSettings(effects=KNOWN[:2])
         wide = randomise(diagnose_torque(ROBOT, log, settings=settings).record, seed=seed)
         ranges = {(r.field, r.name): r for r in wide.ranges}
         for field, values in (("friction", fc), ("damping", fv)):

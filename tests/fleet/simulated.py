@@ -26,7 +26,6 @@ class Plan:
         between, daily: spread of each coefficient of friction over units, and over the days of a
             unit, as shares of it.
         odd: unit -> (name of a coefficient, e.g. Fv2; by how much it is more).
-        drift: unit -> (name of a coefficient; by how much it is more; from which session on).
         noise: share of each joint's torque.
         colour: of the noise [Hz].
         seed: of everything.
@@ -39,7 +38,6 @@ class Plan:
     between: float = 0.1
     daily: float = 0.03
     odd: Mapping[int, tuple[str, float]] | None = None
-    drift: Mapping[int, tuple[str, float, int]] | None = None
     noise: float = 0.01
     colour: float | None = 5.0
     seed: int = 0
@@ -87,9 +85,6 @@ def make(robot: Robot, plan: Plan, folder: Path, *, first: int = 0) -> list[Flee
             if k in (plan.odd or {}):
                 name, more = (plan.odd or {})[k]
                 own[name] += more
-            if k in (plan.drift or {}):
-                name, more, since = (plan.drift or {})[k]
-                own[name] += more * (s >= since)
             arm = with_friction(robot, own)
             seed = 100_000 * plan.seed + 100 * k + s
             motion = random_trajectory(robot, seed, fill=True, duration=plan.seconds)

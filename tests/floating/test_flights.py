@@ -143,7 +143,6 @@ def test_a_result_keeps_how_its_base_was_taken(identified, tmp_path):
         lambda robot, log: torchid.equal_torque_study(robot),
         lambda robot, log: torchid.compare_wrenches(robot, nominal_set(robot)),
         lambda robot, log: torchid.compare_pair(log, log, robot),
-        torchid.withheld_own,
         lambda robot, log: FleetModel(robot),
     ],
 )

@@ -19,7 +19,7 @@ def found_of(*planted: float):
         ).replace(names=(f"run{k + 1}",))
         for k, fc in enumerate(planted)
     ]  # fmt: skip
-    settings = torchid.GapSettings(effects=ONLY, rollout=False)
+    settings = torchid.GapSettings(effects=ONLY)
     return torchid.diagnose(ROBOT, Log.concatenate(logs), settings=settings)
 
 

@@ -179,7 +179,7 @@ LIBRARY = (
     "viscous_friction", "coulomb_friction", "torque_offset", "stribeck_friction", "joint_spring",
     "payload", "thermal_friction_drift", "backlash",
 )  # fmt: skip
-SETTINGS = GapSettings(effects=LIBRARY, rollout=False)
+SETTINGS = GapSettings(effects=LIBRARY)
 
 VISCOUS = arm(friction(2, Fv=0.5))
 COULOMB = arm(friction(1, Fc=0.5), friction(3, Fc=0.3))

@@ -7,7 +7,6 @@ from tests.effects.test_file_mistakes import mistaken
 from tests.marks import some
 from torchid.excitation.design import excite
 from torchid.excitation.synthetic import simulate
-from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 
 EVERY = slice(None)
@@ -27,7 +26,7 @@ def test_a_mistake_is_named(name, kind, link):
     motion = excite(robot, duration=15.0, restarts=1, iterations=0).log()
     friction = {"effect": "coulomb_friction", "joint": 2, "Fc": 1.0}
     log = simulate(robot, motion, effects=[friction])
-    found = diagnose_torque(mistaken(robot, kind, link), log, settings=GapSettings(rollout=False))
+    found = diagnose_torque(mistaken(robot, kind, link), log)
     named = {(f.effect.name, f.located) for f in found.findings}
     place = () if link == EVERY else (link,)
     assert named == {(NAMES[kind], place), ("coulomb_friction", (1,))}

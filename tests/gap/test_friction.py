@@ -13,7 +13,6 @@ from tests.arms import single_axis
 from tests.marks import some
 
 SETTINGS = torchid.GapSettings(
-    rollout=False,
     effects=("viscous_friction", "coulomb_friction", "load_dependent_friction", "rotor_inertia"),
 )
 

@@ -32,7 +32,7 @@ TRUE = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=1.0), fricti
 
 
 def settings(**more: object) -> GapSettings:
-    return GapSettings(effects=SEARCHED, rollout=False, **more)  # type: ignore[arg-type]
+    return GapSettings(effects=SEARCHED, **more)  # type: ignore[arg-type]
 
 
 def log_of(robot: Robot, how: Recording) -> Log:
@@ -266,7 +266,7 @@ def pushed(
 def test_what_stands_still_and_is_pushed_is_a_contact(off: float, compliance: float) -> None:
     """Also where the arm yields, by up to 10 mrad: no spring is named for it."""
     robot, log = pushed(((10.0, 11.5), (25.0, 26.0)), 0, off=off, compliance=compliance)
-    found = torchid.diagnose(robot, log, settings=GapSettings(rollout=False))
+    found = torchid.diagnose(robot, log)
     assert [f.effect.name for f in found.findings] == ["contact", "contact"]
     for f in found.findings:
         assert f.values == pytest.approx((20.0, 10.0, -15.0), abs=0.5)
@@ -284,7 +284,7 @@ def _window(effect: Effect) -> tuple[float, float]:
 def test_what_stands_still_alone_shows_nothing(drift: float, off: float) -> None:
     robot, log = pushed((), 1, drift=drift, off=off)
     with pytest.raises(torchid.TorchidError, match="stands still"):
-        torchid.diagnose(robot, log, settings=GapSettings(rollout=False))
+        torchid.diagnose(robot, log)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 import torchid
 from tests.arms import single_axis
 
-SETTINGS = torchid.GapSettings(rollout=False, effects=("joint_spring", "cogging"))
+SETTINGS = torchid.GapSettings(effects=("joint_spring", "cogging"))
 
 
 def diagnosed(torque: np.ndarray, noise: float = 0.02) -> torchid.Diagnosis:

@@ -32,7 +32,7 @@ def test_a_pandas_wrist_slides_before_it_moves():
     found = diagnose_torque(
         load_robot(str(FOLDER / "panda_gaz" / "robot.yaml")),
         read_log(FOLDER / "panda_gaz" / "log_exciting_traj1.parquet"),
-        settings=GapSettings(background=FRICTION, held_out_fraction=0.4, rollout=False),
+        settings=GapSettings(background=FRICTION, held_out_fraction=0.4),
     )
     assert ("presliding_hysteresis", (6,)) in [(f.effect.name, f.joints) for f in found.findings]
     assert float(found.how_far.rms_after[6]) < 0.6 * float(found.how_far.rms_before[6])
@@ -46,7 +46,7 @@ def test_a_payload_is_named_and_weighed():
         gains = torch.tensor(UR10E_GAINS, dtype=torch.float64)
         return read_log(FOLDER / "ur10e" / f"log_{name}.parquet").with_torque(gains)
 
-    few = GapSettings(effects=(*FRICTION, *LIKE_A_LOAD), rollout=False)
+    few = GapSettings(effects=(*FRICTION, *LIKE_A_LOAD))
     settings = replace(few, parameters="free", background=FRICTION)
     empty = diagnose_torque(
         load_robot(str(FOLDER / "ur10e" / "robot.urdf")), log("unloaded_dec23"), settings=settings

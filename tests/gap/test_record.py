@@ -33,7 +33,7 @@ def test_keys_of_the_contract(status):
         keys = {"effect", "family", "joints", "ambiguous_with", "parameters", "p_value"}
         assert keys <= set(entry)
     far = {"rms_before", "rms_after", "noise_floor_rms", "closed", "closed_ci95", "per_joint"}
-    assert far | {"rollout"} <= set(data["how_far"])
+    assert far <= set(data["how_far"])
     assert [x["joint"] for x in data["how_far"]["per_joint"]] == [1, 2, 3]
     assert set(data["budget"]) == {"parametric", "structural", "unexplained"}
     for entry in data["not_testable"]:

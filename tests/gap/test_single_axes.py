@@ -47,8 +47,7 @@ def test_a_wheel_in_degrees_is_told_by_its_velocity_in_radians_alone(own):
 
 @pytest.mark.slow
 def test_friction_of_a_motor_that_turns_on():
-    settings = torchid.GapSettings(rollout=False)
-    found = torchid.diagnose(single_axis(), turning(), settings=settings)
+    found = torchid.diagnose(single_axis(), turning())
     sizes = {c.effect: c.sizes[0].value for c in found.answer.causes}
     assert sizes == {
         "viscous_friction": pytest.approx(0.002, rel=0.01),
@@ -128,8 +127,7 @@ def test_lags_that_differ_from_motion_to_motion_are_none():
 
 @pytest.mark.slow
 def test_a_loop_over_position_is_presliding_hysteresis():
-    settings = torchid.GapSettings(rollout=False)
-    found = torchid.diagnose(single_axis("P", mass=5.0), looping(), settings=settings)
+    found = torchid.diagnose(single_axis("P", mass=5.0), looping())
     assert [c.effect for c in found.answer.causes] == ["presliding_hysteresis"]
     assert not found.doubt
 
@@ -161,8 +159,7 @@ def test_a_slow_or_a_small_motion_is_examined_as_any(kind, times, size):
 
 @pytest.mark.parametrize(("kind", "times", "size"), some(SLOW_OR_SMALL, 1, several=True))
 def test_friction_of_a_slow_or_a_small_motion(kind, times, size):
-    settings = torchid.GapSettings(rollout=False)
-    found = torchid.diagnose(single_axis(kind), rubbing(times, size), settings=settings, force=True)
+    found = torchid.diagnose(single_axis(kind), rubbing(times, size), force=True)
     sizes = {c.effect: c.sizes[0].value for c in found.answer.causes}
     assert sizes == {
         "viscous_friction": pytest.approx(1.2 * times / size, rel=0.02),
@@ -180,9 +177,8 @@ def test_of_friction_that_was_driven_one_way_no_law_is_sure():
         q = v * t + 1e-5 * random.standard_normal(len(t))
         tau = -0.9 + 0.35 * v + 0.02 * random.standard_normal(len(t))
         logs.append(torchid.Log(t, q[:, None], tau=tau[:, None]))
-    settings = torchid.GapSettings(rollout=False)
     log = torchid.Log.concatenate(logs)
-    found = torchid.diagnose(single_axis(inertia=0.03), log, settings=settings)
+    found = torchid.diagnose(single_axis(inertia=0.03), log)
     (law,) = found.answer.causes
     assert {law.effect, *law.ambiguous_with} >= {"coulomb_friction", "viscous_friction"}
     assert all(f.ambiguous_with or f.how_sure < 0.9 for f in found.findings)
@@ -208,7 +204,7 @@ def test_a_load_on_a_vertical_axis_has_no_mass(out):
     frame[0, 3] = out
     robot = replace(single_axis(), after=frame[None])
     inertia = 1.2e-3 + 0.5 * out**2
-    settings = torchid.GapSettings(rollout=False, effects=("payload",), parameters="trusted")
+    settings = torchid.GapSettings(effects=("payload",), parameters="trusted")
     found = torchid.diagnose(robot, spinning(1.5 * inertia), settings=settings, force=True)
     (load,) = found.answer.causes
     assert load.effect == "payload"
@@ -226,7 +222,7 @@ def test_torque_that_follows_no_model_is_a_gap():
     log, random = spinning(), np.random.default_rng(1)
     noise = np.convolve(random.standard_normal(log.q.shape[0]), np.hanning(25), "same")
     alien = log.replace(tau=(0.05 * noise)[:, None])
-    settings = torchid.GapSettings(rollout=False, effects=("viscous_friction", "coulomb_friction"))
+    settings = torchid.GapSettings(effects=("viscous_friction", "coulomb_friction"))
     found = torchid.diagnose(single_axis(), alien, settings=settings, force=True)
     assert found.status == "detected_unexplained"
     assert "does not follow the model" in found.answer.headline
@@ -254,7 +250,7 @@ def test_a_pendulum_whose_torque_is_smoothed_noise(kind):
     noise = np.convolve(random.standard_normal(len(t)), np.hanning(41), "same")
     q = 0.8 * np.sin(1.3 * t) + 0.4 * np.sin(3.1 * t) - about
     log = torchid.Log(t, q[:, None], tau=(size * noise / noise.std())[:, None])
-    settings = torchid.GapSettings(rollout=False, effects=("torque_offset", "coulomb_friction"))
+    settings = torchid.GapSettings(effects=("torque_offset", "coulomb_friction"))
     heard = []
     found = torchid.diagnose(level, log, settings=settings, force=True, watch=heard.append)
     assert found.status == "detected_unexplained"
@@ -278,7 +274,7 @@ def test_one_path_at_two_speeds_is_not_asked_for_again(again):
         tau = 0.5 * np.tanh(dq / 0.01) + 0.8 * dq + 0.01 * random.standard_normal(len(t))
         logs.append(torchid.Log(t, q[:, None], tau=tau[:, None], names=(name,)))
     settings = torchid.GapSettings(
-        rollout=False, effects=("viscous_friction", "coulomb_friction"), parameters="trusted"
+        effects=("viscous_friction", "coulomb_friction"), parameters="trusted"
     )
     log = torchid.Log.concatenate(logs)
     found = torchid.diagnose(single_axis(), log, settings=settings, force=True)

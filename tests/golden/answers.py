@@ -96,7 +96,7 @@ def _six_joints() -> dict[str, Any]:
         files = write_files(Path(folder), seed=3)
         robot, log = torchid.load_robot(str(files.robot)), torchid.read_log(list(files.logs))
         apart = torchid.read_log(files.new)
-        return _gap(robot, log, held_out=apart, settings={"rollout": False})
+        return _gap(robot, log, held_out=apart)
 
 
 def _servos(**extra: tuple[int, float]) -> dict[str, Any]:

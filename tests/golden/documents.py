@@ -10,7 +10,6 @@ from typing import Any
 import torch
 from typer.testing import CliRunner
 
-from tests.fleet.simulated import Plan, make
 from tests.gap_files import diagnosis, named
 from tests.gap_files import hidden as untested
 from tests.torchid_bench.withheld.fakes import answer, entry
@@ -30,7 +29,7 @@ from torchid.simulation.sensors import Sensors, measured_log
 SEARCH = ("--runs", 3, "--stages", 2, "--generations", 4)
 FRICTION = {"effect": "coulomb_friction", "joint": 2, "Fc": 0.6}
 FEW = ("--effects", "coulomb_friction,viscous_friction,torque_offset")
-NEVER = ("--effects", "torque_offset", "--parameters", "trusted", "--no-rollout")
+NEVER = ("--effects", "torque_offset", "--parameters", "trusted")
 
 
 @dataclass(frozen=True)
@@ -146,15 +145,6 @@ def _fleet_gap(bench: Bench) -> dict[str, Any]:
     return bench.run("fleet", "gap", "3r", log, *few)
 
 
-def _watch(bench: Bench) -> dict[str, Any]:
-    """One unit whose friction falls after four of seven sessions."""
-    drift = {0: ("Fv2", -0.1, 4)}
-    plan = Plan(units=1, sessions=7, seconds=8.0, daily=0.02, drift=drift)
-    logs = make(load_robot("3r_friction"), plan, bench.folder / "watched")
-    paths = [log.path for log in logs]
-    return bench.run("fleet", "watch", "3r_friction", *paths, "--cutoff", 8, "--every", 10)
-
-
 def _score(bench: Bench) -> dict[str, Any]:
     """With answers by hand: what is scored is no diagnosis of today's."""
     cases = bench.folder / "cases"
@@ -172,21 +162,6 @@ def _score(bench: Bench) -> dict[str, Any]:
     finally:
         running._answer = before
     return bench.run("withheld", "score", cases)
-
-
-def _own(bench: Bench) -> dict[str, Any]:
-    """`torchid withheld own` searches the whole library: what it calls, with a smaller one."""
-    from torchid.gap.settings import GapSettings
-    from torchid.withheld.own import withheld_own
-
-    real = arm("friction")
-    logs = [
-        Log.concatenate([gap_log(real, seed, k + 10 * part, 8.0) for k, seed in enumerate(runs)])
-        for part, runs in enumerate(((0, 1, 0), (3, 4, 3)))
-    ]
-    settings = GapSettings(effects=("coulomb_friction", "torque_offset"), rollout=False)
-    found = withheld_own(load_robot("3r"), logs[0], untouched=logs[1], settings=settings)
-    return json.loads(json.dumps({**found.plain(), "seed": 0}))
 
 
 def _simulate(bench: Bench) -> dict[str, Any]:
@@ -255,13 +230,11 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
         "fleet", "identify", "3r_friction", *(b.friction(k) for k in range(2)), "--cutoff", 8
     ),
     "fleet_gap": _fleet_gap,
-    "fleet_watch": _watch,
     "gap_detected_unexplained": lambda b: b.gap("friction", *NEVER),
-    "gap_explained": lambda b: b.gap("friction", *FEW, "--no-rollout"),
-    "gap_no_gap": lambda b: b.gap("none", *FEW, "--no-rollout"),
-    "gap_not_testable": lambda b: b.gap("short", *FEW, "--no-rollout"),
-    "gap_parametric_only": lambda b: b.gap("heavy", *FEW, "--no-rollout"),
-    "gap_rollout": lambda b: b.gap("friction", "--effects", "coulomb_friction"),
+    "gap_explained": lambda b: b.gap("friction", *FEW),
+    "gap_no_gap": lambda b: b.gap("none", *FEW),
+    "gap_not_testable": lambda b: b.gap("short", *FEW),
+    "gap_parametric_only": lambda b: b.gap("heavy", *FEW),
     "identify": lambda b: b.run(
         "identify", "3r_friction", b.friction(), "--held-out", b.friction(9, 1), "--cutoff", 8
     ),
@@ -270,13 +243,12 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "pair_fault": _pair_fault,
     "payload": _payload,
     "randomisation": lambda b: b.run(
-        "export", b.kept("gap.json", b.gap("friction", *FEW, "--no-rollout")), "--randomise", 0.95,
+        "export", b.kept("gap.json", b.gap("friction", *FEW)), "--randomise", 0.95,
         "--draws", 16, "--out", b.folder / "randomised",
     ),
     "robot": lambda b: b.run("robot", "3r_friction"),
     "simulate": _simulate,
     "study": lambda b: b.run("study", "3r", *SEARCH, "--no-figures"),
-    "withheld_own": _own,
     "withheld_score": _score,
     "wrenches": lambda b: b.run("wrenches", "3r", "--per-kind", 15, "--resamples", 20),
     "wrenches_sets": lambda b: b.run("wrenches", "3r", "--sets", b.sets),
@@ -289,5 +261,5 @@ SLOW = (
 )  # fmt: skip
 """Those that take longer."""
 
-LONG = ("atlas", "correct", "gap_rollout", "withheld_own", "wrenches")
+LONG = ("atlas", "correct", "wrenches")
 """Those that take longer than CI has for them."""

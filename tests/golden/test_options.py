@@ -26,7 +26,7 @@ def test_options_are_those_stored() -> None:
          "torchid gap --effects: gone"),
         (lambda t: t["gap"].update({"--more": {}}), "torchid gap --more: new"),
         (lambda t: t["identify"]["--method"].update(default="ols"), "was 'huber', is 'ols'"),
-        (lambda t: t.pop("withheld own"), "torchid withheld own: the command is gone"),
+        (lambda t: t.pop("withheld run"), "torchid withheld run: the command is gone"),
     ],
 )  # fmt: skip
 def test_a_change_is_said(change, said) -> None:
@@ -40,6 +40,5 @@ def test_the_table_holds_what_users_write() -> None:
     gap = stored()["gap"]
     assert "-q" in gap["--quiet"]["names"]
     assert gap["--parameters"]["type"] == "choice of trusted, free, auto"
-    assert gap["--rollout"]["names"] == ["--rollout", "--no-rollout"]
     assert gap["<logs>"]["type"] == "list of path"
     assert stored()["log show"]

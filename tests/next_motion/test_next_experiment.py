@@ -36,7 +36,7 @@ def driven_twice(robot, trajectory, effects):
 
 
 def diagnosed(robot, log):
-    settings = GapSettings(effects=KNOWN, parameters="free", rollout=False)
+    settings = GapSettings(effects=KNOWN, parameters="free")
     return diagnose_torque(robot, log, settings=settings)
 
 
@@ -78,7 +78,7 @@ def test_a_motion_for_what_a_diagnosis_knows_least() -> None:
     found = diagnose_torque(
         replace(robot, parameters=None),
         driven_twice(robot, still, []),
-        settings=GapSettings(effects=KNOWN, rollout=False),
+        settings=GapSettings(effects=KNOWN),
     )
     made = excite_for(found, robot, goal="d_optimal", duration=6.0, restarts=1)
     assert isinstance(made, InformedDesign)

@@ -9,7 +9,6 @@ from typing import get_args
 
 import numpy as np
 import pytest
-import torch
 
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, some_left, trace
 from tests.marks import quick_first
@@ -21,7 +20,6 @@ from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
 from torchid.results.replication import MotionScale, replication_of
 from torchid.results.words import effect_words
-from torchid.simulation.two_models import Horizon, Rollout, SimulatedMotion, TorqueGap
 
 FILES = (InputFile("log", "run <1>.csv", 1234567, "ab" * 32),)
 
@@ -31,7 +29,7 @@ def made(**changes):
         "arguments": ["/usr/bin/torchid", "gap", "3r", "run <1>.csv"],
         "started": 0.0,
         "seeds": {"seed": 7},
-        "settings": {"cutoff": "auto", "rollout": True, "effects": ("a", "b"), "alpha": 0.01},
+        "settings": {"cutoff": "auto", "trusted": True, "effects": ("a", "b"), "alpha": 0.01},
         "files": FILES,
     }
     return origin(**(given | changes))
@@ -62,10 +60,10 @@ def test_verdict_and_status(status, undrawn):
 
 
 def test_one_screen_then_sections_that_fold(undrawn):
-    tree = page_of(with_motion(diagnosis()))
+    tree = page_of(diagnosis())
     assert headings(tree) == [
         "Torque of the joint that errs most, over time and over what it may depend on",
-        "Motion: the arm and the simulation, before and after",
+        "Motion of the arm",
         "Where the error lies",
         "The causes in numbers (1 cause)",
         "Errors in numbers",
@@ -80,13 +78,6 @@ def test_one_screen_then_sections_that_fold(undrawn):
     assert [f.get("id") for f in tree.xpath("//section[@id='answer']//figure")] == ["robot"]
     titles = [h.text_content() for h in tree.xpath("//div[@class='advice']/h2")]
     assert titles == ["What to do first", "Which model to use"]
-
-
-def with_motion(d):
-    """With a second of simulated motion."""
-    q = torch.linspace(0, 1, 50, dtype=torch.float64)[:, None].expand(50, 3)
-    one = SimulatedMotion("run", torch.arange(50) / 50.0, q, q + 0.2, q + 0.01)
-    return replace(d, how_far=replace(d.how_far, motions=(one,)))
 
 
 def test_numbers_are_those_of_the_json(undrawn):
@@ -147,7 +138,7 @@ def test_captions_say_where(undrawn):
     )
     assert captions["robot"].startswith("Figure 1. The robot in a pose of this log.")
     assert "RMS 0.61 N m before and 0.07 after" in captions["joint_2"]
-    assert list(captions) == ["robot", "torque", "joint_2", "where"]
+    assert list(captions) == ["robot", "torque", "joint_2", "motion", "where"]
 
 
 def test_what_holds_nothing_is_not_drawn(undrawn):
@@ -160,7 +151,7 @@ def test_what_holds_nothing_is_not_drawn(undrawn):
 
 @pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
 def test_every_figure_is_drawn(status):
-    tree = page_of(with_motion(diagnosis(status, **SHORT)))
+    tree = page_of(diagnosis(status, **SHORT))
     names = [f.get("id") for f in tree.iter("figure")]
     assert names == ["robot", "torque", "joint_2", "motion", "where"]
     assert all(len(svg.xpath(".//*")) > 10 for svg in tree.iter("svg"))
@@ -180,7 +171,7 @@ def test_cautions_are_few_and_say_one_thing_once(undrawn):
 
 def test_plotly_stands_there_once_and_gets_the_very_numbers(undrawn):
     pytest.importorskip("plotly")
-    d = with_motion(diagnosis(**SHORT))
+    d = diagnosis(**SHORT)
     tree = page_of(d)
     (library,) = tree.xpath("//script[@id='plotly']/text()")
     policy = tree.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
@@ -192,9 +183,12 @@ def test_plotly_stands_there_once_and_gets_the_very_numbers(undrawn):
     torque, motion = data
     assert [one["quantity"] for one in data] == ["torque", "position"]
     assert motion["joints"] == ["1", "2", "3"]
-    most, coded = motion["runs"][0]["curves"]["after"][1]
+    # The arm moves as it was measured, without models.
+    (curves,), q = [run["curves"] for run in motion["runs"]], d.traces[0].motion.q[:, 1]
+    assert (list(curves), motion["models"]) == (["arm"], [])
+    most, coded = curves["arm"][1]
     shares = np.frombuffer(base64.b64decode(coded), "<i2") / 32767
-    assert most * shares == pytest.approx(np.linspace(0, 1, 50) + 0.01, abs=1e-4)
+    assert most * shares == pytest.approx(q[:: -(-len(q) // len(shares))].numpy(), abs=1e-4)
     # Instants at the edges, which do not count, are no numbers.
     first = np.frombuffer(base64.b64decode(torque["runs"][0]["curves"]["arm"][0][1]), "<i2")
     assert first[0] == -32768
@@ -203,26 +197,16 @@ def test_plotly_stands_there_once_and_gets_the_very_numbers(undrawn):
 
 def test_without_plotly_the_drawings_stay(undrawn, monkeypatch):
     monkeypatch.setattr(rendering, "_plotly", lambda: None)
-    tree = page_of(with_motion(diagnosis(**SHORT)))
+    tree = page_of(diagnosis(**SHORT))
     assert not list(tree.iter("script"))
     assert "script-src" not in tree.xpath("//meta[@http-equiv]/@content")[0]
     assert {"motion", "torque"} <= {f.get("id") for f in tree.iter("figure")}
 
 
-@pytest.mark.parametrize(
-    ("ratio", "said"), [(0.1, "err 0.1 times as much"), (1.2, "no better (1.2 of the error")]
-)
-def test_which_model_to_use(ratio, said):
-    d = diagnosis()
-    row = Horizon(horizon_s=0.5, starts=9, ratio=ratio)
-    zero = torch.zeros(3)
-    simulated = Rollout(
-        starts=9, step_s=0.004, diverged_beyond=1.0, torque=TorqueGap(zero, zero, 0.1),
-        horizons=(row,), ignored_effects=(), fitted_on_these_data=False, sentences=(),
-    )  # fmt: skip
-    moved = replace(d, how_far=replace(d.how_far, rollout=simulated))
-    assert said in which_model(moved)
-    assert "--save-model" in which_model(d)
+def test_which_model_to_use():
+    said = which_model(diagnosis())
+    assert "--save-model" in said
+    assert "torchid correct" in said
     assert "as given" in which_model(diagnosis("no_gap", findings=()))
 
 
@@ -263,7 +247,7 @@ def test_how_it_was_obtained(undrawn):
     assert {"torchid", "Python", "torch", "numpy", "system"} <= set(versions)
     settings = dict(rows_of(tree, "Seeds and settings"))
     assert settings == {
-        "seed": "7", "cutoff": "auto", "rollout": "yes", "effects": "a, b", "alpha": "0.01",
+        "seed": "7", "cutoff": "auto", "trusted": "yes", "effects": "a, b", "alpha": "0.01",
     }  # fmt: skip
 
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import get_args
 
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
@@ -19,7 +18,6 @@ from torchid.report import gap
 from torchid.report.diagnosis import report_of_diagnosis
 from torchid.results.answer import COLUMNS, Answer, Cause, JointError, NotTestable, Size, named_size
 from torchid.results.words import effect_words, listed, measure, percent
-from torchid.simulation.two_models import Horizon, Rollout, TorqueGap
 
 
 def text_of(d) -> str:
@@ -200,26 +198,6 @@ def test_reasons_that_differ_in_a_number_share_a_line():
 )
 def test_percent(value, expected):
     assert percent(value) == expected
-
-
-def test_rollouts_are_told():
-    d = diagnosis()
-    rows = [
-        Horizon(
-            horizon_s=0.5, starts=8, ratio=0.31, ratio_ci95=(0.25, 0.4), diverged_before=0.1,
-            diverged_after=0.0,
-        ),
-        Horizon(horizon_s=2.0, starts=0),
-    ]  # fmt: skip
-    rms = torch.ones(3, dtype=torch.float64)
-    rollout = Rollout(
-        starts=8, step_s=0.01, diverged_beyond=1.0, torque=TorqueGap(rms, rms, 1.0),
-        horizons=tuple(rows), ignored_effects=(), fitted_on_these_data=False,
-        sentences=("Too short for 2 s.",),
-    )  # fmt: skip
-    d = replace(d, how_far=replace(d.how_far, rollout=rollout))
-    assert "0.5 0.31 [0.25, 0.4] 10 % 0 %" in text_of(d)
-    assert "Too short for 2 s." in gap.remarks(d.record)
 
 
 def test_remarks_say_where_the_noise_is_from():

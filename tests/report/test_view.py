@@ -30,7 +30,7 @@ def found():
     motion = trajectory_log(random_trajectory(robot, 3, count=2, duration=10.0, fill=True), 200.0)
     real = simulate(robot, replace(motion, t=motion.t + LATER), effects=FRICTION, seed=1)
     names = tuple(str(f["effect"]) for f in FRICTION)
-    return diagnose_torque(robot, real, settings=GapSettings(effects=names, rollout=False))
+    return diagnose_torque(robot, real, settings=GapSettings(effects=names))
 
 
 @pytest.mark.nightly

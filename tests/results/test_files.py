@@ -31,7 +31,7 @@ def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
     friction = {"effect": "coulomb_friction", "joint": 2, "Fc": 0.6}
     log = torchid.simulate(robot, motion, effects=[friction], seed=3)
     effects = ("coulomb_friction", "viscous_friction", "joint_spring")
-    settings = torchid.GapSettings(effects=effects, rollout=False)
+    settings = torchid.GapSettings(effects=effects)
 
     d = torchid.diagnose(robot, log, settings=settings)
     assert "coulomb_friction" in repr(d)
@@ -66,7 +66,7 @@ def test_the_next_motion_of_what_was_read_back(tmp_path: Path) -> None:
     for signal in (still.q, still.dq, still.ddq):
         signal[:, 2] = 0.0
     log = torchid.simulate(robot, still, seed=1)
-    settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    settings = torchid.GapSettings(effects=("viscous_friction",))
     torchid.diagnose(robot, log, settings=settings).save(tmp_path / "gap.json")
     made = torchid.load(tmp_path / "gap.json").next_motion(duration=8.0, restarts=1)
     assert made.kind == "not_testable"

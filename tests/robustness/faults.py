@@ -89,7 +89,7 @@ def scenes(inputs: Path) -> dict[str, Scene]:
         Scene(
             "gap",
             (
-                *("gap", "3r", str(inputs / "log.parquet"), "--no-rollout"),
+                *("gap", "3r", str(inputs / "log.parquet")),
                 *("--effects", effects, "--save-model", "made.yaml", "--out", "out"),
             ),
         ),

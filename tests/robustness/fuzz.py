@@ -26,26 +26,12 @@ import yaml
 from tests.log.recordings import BAGS, START_NS, write_bag, write_lerobot
 from tests.robustness import bad_logs, bad_results, bad_robots
 from tests.robustness.bench import TooLongError, limited
-from torchid.app.project import read as read_project
 from torchid.errors import TorchidError
 from torchid.log.mapping import read_mapping
 from torchid.log.readers import log_from_columns, read_log
 from torchid.results.files import load
 from torchid.robot.library import load_robot
 
-PROJECT = """robot = "3r"
-logs = ["run.csv"]
-gain = [1.0, 2.0, 3.0]
-[limits]
-velocity = [1, 2, 3]
-[payload]
-mass = 0.5
-com = [0, 0, 0.1]
-[gap]
-worthwhile = 0.1
-[log.show]
-columns = "t=t,q=q{j}"
-"""
 COLUMNS = """t: time ms
 q: pos_{j} deg
 tau: {columns: [a, b, c], unit: mN m, factor: [1, -1, 1]}
@@ -84,7 +70,6 @@ def seeds(folder: Path) -> dict[str, bytes]:
         "log.bag": bags["ros1"].read_bytes(),
         "log.mcap": next((folder / "mcap").glob("*.mcap")).read_bytes(),
         "log.db3": next((folder / "sqlite3").glob("*.db3")).read_bytes(),
-        "torchid.toml": PROJECT.encode(),
         "columns.yml": COLUMNS.encode(),
         "log.csv": bad_logs.csv(table),
         "log.npz": bad_logs.npz(table),
@@ -141,7 +126,7 @@ def read(path: Path) -> None:
     """A file with the reader of its suffix."""
     readers: dict[str, Callable[[Path], object]] = {
         ".json": load, ".yaml": load_robot, ".urdf": load_robot, ".xml": load_robot,
-        ".toml": read_project, ".yml": read_mapping,
+        ".yml": read_mapping,
     }  # fmt: skip
     readers.get(path.suffix, read_log)(path)
 

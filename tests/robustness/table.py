@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args, get_origin
 from tests.app.test_inputs_kept import COMMANDS, _shown
 from tests.gap_files import diagnosis, named
 from tests.robustness import bad_logs, bad_results, bad_robots
-from tests.robustness.bad_logs import DEEP, ESCAPE, LONG, MARKUP
+from tests.robustness.bad_logs import ESCAPE, LONG, MARKUP
 from tests.robustness.bench import Outcome, outcome
 from torchid.app.inputs import PLACE, WRITTEN
 from torchid.app.signature import Option
@@ -21,7 +21,7 @@ _RESULTS = ("result", "results", "sets")
 _LOGS = ("logs", "trajectory", "held_out", "loaded", "on", "log")
 _WHOLE = {"check": 5, "log show": 4, "export": 15}
 """Commands that get all of the first kind of file that they take, or one in so many of them."""
-_QUIET = ("log doctor", "log show", "init")
+_QUIET = ("log doctor", "log show")
 """Commands that say what is wrong with a log, which is no failure."""
 _SLOW = ("excite", "extract", "atlas", "wrenches", "compare")
 """Commands that compute for long where a changed result is still one."""
@@ -89,7 +89,9 @@ class Table:
         """What is wrong with how a case ends; None where all is right."""
         work = self.folder / "work"
         found = outcome(case.arguments, (work, self.folder / "good"))
-        if not case.refused and found.code == 0:
+        # The doctor's verdict on a log that is wrong is a result, with the exit code 1.
+        verdict = case.arguments[:2] == ("log", "doctor") and "error: " not in found.err
+        if not case.refused and (found.code == 0 or (found.code == 1 and verdict)):
             for made in work.iterdir():
                 shutil.rmtree(made) if made.is_dir() else made.unlink()
             found = Outcome(1, found.out, f"{found.err}error: ", ())
@@ -102,7 +104,7 @@ class Table:
         words, result = list(name), None
         for option in COMMANDS[name]:
             needed = option.parameter.default is option.parameter.empty or (
-                option.name in ("to", "out", "result") and option.takes[0] and name != ("init",)
+                option.name in ("to", "out", "result") and option.takes_paths
             )
             if option is bad:
                 words += _shown(option, value)
@@ -141,7 +143,6 @@ class Table:
                 if kind == "result" and " ".join(name) in _SLOW and not broken:
                     continue
                 refused = broken or (kind != "result" and " ".join(name) not in _QUIET)
-                refused &= name != ("init",)  # which writes names, and reads no file
                 line = self.line(name, option, path)
                 yield Case(f"{kind} {text}", line, refused, option.shown)
 
@@ -155,8 +156,6 @@ class Table:
             bad: dict[Any, bool] = {}
             if any(get_origin(one) is Literal for one in kinds):
                 bad = {"no such choice": True}
-            elif option.name == "project_file":
-                bad = {"absent.toml": True}
             elif PLACE in option.said:
                 # Nowhere to put a folder: what is above it is a file.
                 bad = {str(self.folder / "good" / "log.csv" / "below"): True}
@@ -166,7 +165,7 @@ class Table:
                 bad = dict.fromkeys(("x", "nan", "-inf", "1e300"), True)
             elif WRITTEN in option.said:
                 bad = {"absent/x.csv": True, str(self.folder / "good"): True, "n" * 300: True}
-            elif option.takes[0]:
+            elif option.takes_paths:
                 bad = {"absent.csv": True, "/dev/null": True, "\udcff.json": True}
             elif kinds & {str, list[str]} and bool not in kinds:
                 texts = (LONG, f"{ESCAPE}{MARKUP}", "=", "nan,nan,nan")
@@ -193,17 +192,8 @@ class Table:
 
 
 def beside(folder: Path) -> Iterator[Case]:
-    """Files that commands read though they are not named first: projects, mappings, sidecars."""
+    """Files that commands read though they are not named first: mappings, sidecars."""
     log = str(folder / "good" / "log.csv")
-    texts = {
-        "empty": b"", "binary": bytes(range(256)), "deep": b"a = " + b"[" * DEEP,
-        "unknown": b"colour = 1", "types": b"robot = 3\nlogs = 'x'", "huge": b"gain = [1e400]",
-    }  # fmt: skip
-    for name, content in texts.items():
-        file = folder / "robots" / f"{name}.toml"
-        file.write_bytes(content)
-        line = ("robot", "3r", "--project", str(file), "--json", "result.json")
-        yield Case(f"project {name}", line, name != "empty")
     mappings = {
         "binary": bytes(range(256)), "deep": b"q: " + b"[" * 900, "list": b"[1]",
         "unknown": b"z: x", "type": b"q: {a: 1}", "date": b"q: 2026-99-99",

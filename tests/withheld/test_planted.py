@@ -12,8 +12,7 @@ from torchid.errors import TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.withheld.own import Bed
-from torchid.withheld.planted import OUTSIDE, TIMES, _plantings, calibrate, with_torque
+from torchid.withheld.planted import OUTSIDE, TIMES, Bed, _plantings, calibrate, with_torque
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
@@ -24,7 +23,7 @@ LOG = logged(REAL, (3, 4, 3), 5)
 def diagnosis():
     """Friction of joint 2; the library is small, to be quick."""
     effects = ("coulomb_friction", "viscous_friction", "torque_offset", "joint_spring")
-    return diagnose_torque(ROBOT, LOG, settings=replace(QUICK, effects=effects, rollout=False))
+    return diagnose_torque(ROBOT, LOG, settings=replace(QUICK, effects=effects))
 
 
 def test_torque_on_a_grid_is_added_at_the_log_s_own_stamps():

@@ -1,9 +1,13 @@
 """All commands, and what happens when one fails."""
 
+import re
 import sys
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from torchid import __version__
 from torchid.app.check import check_command
@@ -13,19 +17,109 @@ from torchid.app.excite import excite_command
 from torchid.app.export import correct_command, export_command
 from torchid.app.extract import atlas_command, extract_command
 from torchid.app.faults import flush, print_plainly, report
-from torchid.app.fleet import fleet_app
+from torchid.app.fleet import FLEET
 from torchid.app.gap import gap_command
-from torchid.app.help import show_beginning
+from torchid.app.help import show_beginning, show_command, show_group
 from torchid.app.identify import identify_command, payload_command
-from torchid.app.init import init_command
-from torchid.app.log import log_app
+from torchid.app.log import LOG
 from torchid.app.output import in_options
-from torchid.app.project import Group, add, group
 from torchid.app.show import effects_command, explain_command, robot_command
-from torchid.app.signature import Debug
+from torchid.app.signature import OPTIONS, Debug
 from torchid.app.simulate import simulate_command
-from torchid.app.withheld import own_command
+from torchid.errors import TorchidError
 from torchid.other_packages import COMMANDS, loaded
+
+GONE = {
+    "init": "give each command its options; --columns takes a file",
+    "--project": "give each command its options; --columns takes a file",
+    "fleet watch": "torchid compare RESULT..., of a unit's sessions",
+    "withheld own": "torchid gap ROBOT LOG... --calibrate N",
+    "--rollout": "torchid correct tries a corrected file on the log",
+    "--no-rollout": "leave it out: gap simulates nothing",
+}
+"""Commands and options that 0.3 had last, and what replaces them."""
+PROJECT = "torchid.toml"
+"""The project file of 0.3."""
+
+
+class Group(TyperGroup):
+    """The program, or a group of commands."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print it."""
+        # Of what a command does the first paragraph, up to its first mark.
+        about = {name: _in_short(one.help or "") for name, one in self.commands.items()}
+        show_group(ctx.command_path, self.help or "", about)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is named, unless it is gone."""
+        _require_there(ctx, f"{_path(ctx)} {args[0]}".strip())
+        return super().resolve_command(ctx, args)
+
+
+class Command(TyperCommand):
+    """A command whose help has panels."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print it."""
+        show_command(ctx.command_path, self.help or "", OPTIONS[_path(ctx)])
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Raise where an option is gone, or a project file would have said what is not given."""
+        for option in (arg.partition("=")[0] for arg in args if arg.startswith("--")):
+            _require_there(ctx, option)
+        here = Path.cwd()
+        file = next((f for x in (here, *here.parents) if (f := x / PROJECT).is_file()), None)
+        of_one_robot = any(param.name == "tip" for param in self.params)
+        if file and of_one_robot and "--help" not in args and not ctx.resilient_parsing:
+            raise TorchidError(
+                "project files are no longer read.",
+                got=str(file),
+                hint=f"{GONE['--project']}; limits and payload stand in the robot's file. Then "
+                "take this one away",
+            )
+        return super().parse_args(ctx, args)
+
+
+def _require_there(ctx: Any, name: str) -> None:
+    if name in GONE and not ctx.resilient_parsing:  # a shell that completes shows no error
+        raise TorchidError(f"{name} is gone.", hint=GONE[name])
+
+
+def _path(ctx: Any) -> str:
+    """The name of a command with its group's: `log show`."""
+    names: list[str] = []
+    while ctx.parent is not None:
+        names.insert(0, ctx.info_name)
+        ctx = ctx.parent
+    return " ".join(names)
+
+
+def _in_short(text: str) -> str:
+    """The beginning of a command's description."""
+    return re.split(r"[:;.]\s|\n\n", " ".join(text.split("\n")) + " ")[0].rstrip(". ") + "."
+
+
+def _group(name: str, about: str, commands: Sequence[Callable[..., None]]) -> typer.Typer:
+    """A group of commands."""
+    made = typer.Typer(name=name, no_args_is_help=True, help=about, cls=Group)
+    for one in commands:
+        _add(made, one, f"{name} ")
+    return made
+
+
+def _add(to: typer.Typer, one: Any, above: str = "") -> None:
+    """A command by the name of its function: `next_motion_command` is `next-motion`.
+
+    Args:
+        to: the program or a group.
+        one: a function with the options that `command` gave it.
+        above: the name of the group and a blank.
+    """
+    name = one.__name__.removesuffix("_command").replace("_", "-")
+    OPTIONS[above + name] = one.options
+    to.command(name, cls=Command)(one)
+
 
 app = typer.Typer(
     name="torchid",
@@ -34,13 +128,17 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-withheld_app = group(
+log_app = _group("log", "What a log is, before anything is computed from it.", LOG)
+fleet_app = _group(
+    "fleet", "Many units of one robot type: the type, its spread, the odd ones.", FLEET
+)
+withheld_app = _group(
     "withheld",
     "Check the diagnosis on data whose cause was withheld from it.",
-    [*(loaded(COMMANDS[f"withheld {name}"]) for name in ("make", "run", "score")), own_command],
+    [loaded(COMMANDS[f"withheld {name}"]) for name in ("make", "run", "score")],
 )
 for _one in (
-    init_command, robot_command, excite_command, simulate_command, log_app, identify_command,
+    robot_command, excite_command, simulate_command, log_app, identify_command,
     extract_command, check_command, atlas_command, loaded(COMMANDS["wrenches"]), payload_command,
     gap_command, correct_command, explain_command, effects_command, export_command,
     compare_command, loaded(COMMANDS["study"]), fleet_app, withheld_app, demo_command,
@@ -48,7 +146,7 @@ for _one in (
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)
     else:
-        add(app, _one)
+        _add(app, _one)
 
 
 def _version(asked: bool) -> bool:

@@ -11,7 +11,6 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.output import Kept, Output, Reported
-from torchid.app.project import group
 from torchid.app.signature import Parsed, Switch, command
 from torchid.errors import TorchidError
 from torchid.fleet.settings import FleetSettings
@@ -148,9 +147,7 @@ def identify_command(
 def gap_command(
     *,
     units: Units,
-    settings: Annotated[
-        GapSettings, opt.GAP.only("effects background parameters seed", rollout=False)
-    ],
+    settings: Annotated[GapSettings, opt.GAP.only("effects background parameters seed")],
     force: Switch = False,
     engine: Engine,
     output: Reported,
@@ -186,41 +183,6 @@ def gap_command(
     )
 
 
-@command
-def watch_command(
-    *,
-    units: Units,
-    settings: Reduction,
-    engine: Engine,
-    every: float = 1000.0,
-    seed: opt.Seed = 0,
-    output: Kept,
-) -> None:
-    """What drifts: every parameter of every unit over its sessions, in the order of their names,
-    with an alarm that may be looked at after each of them.
-
-    A column `temperature` of the logs, where all sessions of a unit have it, explains what it can
-    before anything is called a change.
-
-    Example: `torchid fleet watch panda.yaml logs --every 1000 --out fleet`
-
-    Args:
-        effects: Effects on every joint, comma-separated; `none` for the rigid body.
-        force: Use logs that look wrong, too.
-        every: Sessions of a unit until a false alarm, at the least and on average.
-    """
-    from torchid.fleet.identify import fleet_identify
-    from torchid.fleet.watch import watch
-    from torchid.report.fleet import report_of_watch
-
-    if engine.array is not None:
-        raise TorchidError("--array is for `fleet identify`, whose store this command reads.")
-    model, logs, crew, store = engine.begin(units, settings, output)
-    with output.progress("reducing logs") as progress:
-        fleet = fleet_identify(model, logs, store=store, workers=crew, progress=progress)
-    output.give(watch(fleet, every), "fleet_watch.json", report_of_watch, seed=seed)
-
-
 def _say_part(
     output: Output, array: tuple[int, int], logs: Sequence[tuple[str, str, Sequence[str]]]
 ) -> None:
@@ -233,7 +195,4 @@ def _say_part(
     output.warn(map(": ".join, unused))
 
 
-_ALL = identify_command, gap_command, watch_command
-fleet_app = group(
-    "fleet", "Many units of one robot type: the type, its spread, the odd ones.", _ALL
-)
+FLEET = identify_command, gap_command

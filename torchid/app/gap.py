@@ -1,6 +1,6 @@
 """`torchid gap`: where simulator and arm disagree, which effects cause it, how far it shrinks."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +12,6 @@ from torchid.app import options as opt
 from torchid.app.export import Simulated
 from torchid.app.inputs import RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Diagnosed, Output
-from torchid.app.project import current
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
@@ -99,7 +98,6 @@ def gap_command(
         _pair(output, trials, asked, settings)
         return
     found, log, apart, files = trials.open(output, settings.held_out_fraction)
-    from torchid.design.sensor import sensor_of
     from torchid.report.brief import model_words
     from torchid.report.diagnosis import report_of_diagnosis
 
@@ -114,10 +112,6 @@ def gap_command(
 
         kind = file_format(asked.to)
         require_field(kind, found, log)
-    screen_only = not (output.json_file or output.out or output.report or output.verbose)
-    if screen_only and sensor_of(log, found) != "position":
-        # The screen has no simulated motion, which takes as long as the search.
-        settings = replace(settings, rollout=False)
     # The log is handed over where it is not needed again: a long one takes half of the memory.
     handed = [log]
     if kind is None and asked.calibrate is None:
@@ -191,10 +185,9 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
             got="--real alone" if asked.real else "--simulated alone",
             expected="--simulated SIM --real REAL",
         )
-    own = current().logs
     others = {
-        "LOG": trials.logs and not own,
-        "--held-out": trials.held_out and not current().held_out,
+        "LOG": trials.logs,
+        "--held-out": trials.held_out,
         "--to": asked.to,
         "--view": asked.view,
     }

@@ -15,14 +15,13 @@ if TYPE_CHECKING:
     from torchid.app.signature import Option
 
 GROUPS = {
-    "Begin here": ("init", "log", "identify", "gap", "correct", "explain", "demo"),
+    "Begin here": ("log", "identify", "gap", "correct", "explain", "demo"),
     "Model and experiment": ("robot", "effects", "excite", "simulate", "export"),
     "Physical parameters": ("payload", "check", "extract", "atlas", "wrenches", "study"),
     "Many robots, and checks": ("compare", "fleet", "withheld"),
 }
 """All commands, in panels."""
 _FIRST = {
-    "init": "write a project file: robot, logs, columns",
     "log doctor": "what is wrong with a log, and what to change",
     "identify": "base parameters and friction, with intervals",
     "gap": "what makes the arm differ from its simulator",
@@ -59,7 +58,7 @@ def show_group(path: str, text: str, commands: Mapping[str, str]) -> None:
         commands: what each is for, by name.
     """
     parts = [_usage(path, ["COMMAND ..."]), Text(f"{text}\n")]
-    if set(commands) - {name for names in GROUPS.values() for name in names}:
+    if set(commands) != {name for names in GROUPS.values() for name in names}:
         parts.append(_panel("Commands", list(commands.items())))
     else:
         for title, names in GROUPS.items():

@@ -12,7 +12,6 @@ import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import RECORDED
 from torchid.app.output import Computed, Reported
-from torchid.app.project import current
 from torchid.app.signature import Parsed, command
 from torchid.effects.names import require_effects
 from torchid.effects.written import name_and_pairs, split_list
@@ -132,9 +131,6 @@ def payload_command(
         cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
         force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag).
     """
-    project = current()
-    if arm.logs and {*arm.logs} <= {*map(Path, project.logs)}:
-        output.say(f"Without payload, as {project.file} says: {', '.join(map(str, arm.logs))}")
     found = arm.load()
     empty = arm.read(arm.logs, found) if arm.logs else None
     full, forced = arm.read(loaded, found), settings.force

@@ -116,7 +116,9 @@ def require_inputs(options: "Sequence[Option]", given: Mapping[str, Any]) -> Non
 
             require_result(path)
         elif (
-            not path.exists() and (MODEL in said or option.takes[0]) and not said & {WRITTEN, PLACE}
+            not path.exists()
+            and (MODEL in said or option.takes_paths)
+            and not said & {WRITTEN, PLACE}
         ):
             near = similar_files(path)
             raise TorchidError(
@@ -145,11 +147,7 @@ def require_free(given: Mapping[str, Any], results: Sequence[str]) -> None:
         given: values of the options.
         results: names of files in the folder that --out names.
     """
-    from torchid.app.project import current
-
-    folder, model, project = given.get("out"), given.get("save_model"), current().out
-    if folder is not None and project is not None and folder.parent == Path(project):
-        folder = None  # the latest results of a project, which nobody named
+    folder, model = given.get("out"), given.get("save_model")
     taken = [] if model is None or not model.exists() else [str(model)]
     if folder is not None:
         names = [name.format(**given) for name in results]

@@ -10,7 +10,6 @@ import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import WRITTEN
 from torchid.app.output import Computed, Printed, as_text
-from torchid.app.project import group
 from torchid.app.signature import command
 
 
@@ -113,5 +112,4 @@ def show_command(
         output.say(f"{log.samples} samples{gained}")
 
 
-_ALL = doctor_command, show_command
-log_app = group("log", "What a log is, before anything is computed from it.", _ALL)
+LOG = doctor_command, show_command

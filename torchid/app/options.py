@@ -13,7 +13,6 @@ import typer
 import torchid
 from torchid.app.inputs import PLACE, RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Output
-from torchid.app.project import current
 from torchid.app.signature import Fields, Parsed, Switch
 from torchid.effects.names import require_effects
 from torchid.errors import TorchidError
@@ -167,7 +166,7 @@ Cutoff = float | Literal["auto"] | None
 FilterCutoff = Annotated[Cutoff, typer.Option(metavar="HZ|auto|none"), Parsed(cutoff_hz, "none")]
 _Share = Annotated[float, typer.Option(metavar="SHARE", min=0, max=0.99)]
 GAP = Fields(
-    "rollout held_out_fraction",
+    "held_out_fraction",
     effects=Searched,
     background=FittedEffects,
     cutoff=Annotated[Cutoff, typer.Option(metavar="HZ|auto"), Parsed(auto_hz, "none")],
@@ -239,24 +238,21 @@ class Reading:
     kd: Annotated[str | None, typer.Option(metavar="D1,D2,..")] = None
 
     def request(self, robot: "torchid.Robot | None") -> "Request":
-        """As these options say, else as the project file says for the logs that need it."""
+        """As these options say."""
         from torchid.log.mapping import read_mapping
         from torchid.log.table import Request
 
-        project = current()
         for option, text in (("--columns", self.columns), ("--topic", self.topic)):
             if text is not None and not text.strip():
                 raise TorchidError(f"{option} says nothing.", got=repr(text))
-        columns, own = self.columns or project.columns, self.columns or self.topic
-        mapping = None if columns is None else read_mapping(columns)
+        mapping = None if self.columns is None else read_mapping(self.columns)
         joints = () if robot is None else robot.driven_names
         spare = () if robot is None else robot.spare
-        return Request(mapping, self.topic or project.topic, joints, own is None, spare)
+        return Request(mapping, self.topic, joints, spare)
 
     def with_torque(self, log: "torchid.Log", n: int) -> "torchid.Log":
         """The torque of n joints where options make it: of the joint controllers' commands, or of
-        currents times the gains that are given, or times those of the project file where the log
-        has currents alone."""
+        currents times the gains that are given."""
         from torchid.design.sensor import with_commanded_torque
 
         if self.kd is not None and self.kp is None:
@@ -266,12 +262,7 @@ class Reading:
                 raise TorchidError("--kp and --gain exclude each other.")
             kd = numbers("--kd", self.kd or "0", n)
             return with_commanded_torque(log, numbers("--kp", self.kp, n), kd)
-        known = current().gain
-        if self.gain is not None:
-            return log.with_torque(numbers("--gain", self.gain, n))
-        if known is not None and log.tau is None and log.current is not None:
-            return log.with_torque(numbers("gain", known, n))
-        return log
+        return log if self.gain is None else log.with_torque(numbers("--gain", self.gain, n))
 
     def read(self, paths: Sequence[Path], robot: "torchid.Robot") -> "torchid.Log":
         """Files as the trajectories of one log."""
@@ -448,10 +439,10 @@ class Trials(ArmAndLogs):
 
 
 def load(name: str, part: Part) -> "torchid.Robot":
-    """A robot; one that the project file names with the limits and the payload that it says."""
+    """A robot."""
     from torchid.effects.registry import nominal_effects
 
-    robot = current().on(torchid.load_robot(name, **part.choice.options))
+    robot = torchid.load_robot(name, **part.choice.options)
     nominal_effects(robot)  # known, complete and in range, also where they are not used
     return robot
 

@@ -18,8 +18,7 @@ from rich.text import Text
 from torchid.app import allow_interrupts
 from torchid.app.inputs import PLACE, WRITTEN, Suffix
 from torchid.app.progress import ProgressBars, ProgressLines
-from torchid.app.project import OPTIONS
-from torchid.app.signature import Fields, Switch
+from torchid.app.signature import OPTIONS, Fields, Switch
 from torchid.errors import TorchidError, visible
 from torchid.files import make_folder, remove_empty, require_folder
 from torchid.json_data import write_json

@@ -32,15 +32,6 @@ from torchid.errors import TorchidError
 from torchid.files import inputs_kept
 
 Switch = Annotated[bool, "an option --name without its --no-name"]
-_Project = Annotated[
-    str | None,
-    typer.Option(
-        "--project",
-        metavar="FILE|none",
-        help="Project file (see `torchid init`); the nearest torchid.toml, here or above, if "
-        "absent.",
-    ),
-]
 Debug = Annotated[
     bool, typer.Option("--debug", help="Show the traceback of a fault of torchid itself.")
 ]
@@ -50,7 +41,7 @@ _REST = "*"
 _PANELS = (
     ("Options", "to result loaded effects effect servo * held_out save out report save_model"),
     ("Two logs", "simulated real"),
-    ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects rollout"),
+    ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects"),
     ("Search", "calibrate"),
     ("Search", "runs stages generations population penalty schedule engine certificate"),
     ("Fit", "cutoff held_out_fraction rows reversal method covariance signs essential"),
@@ -66,7 +57,7 @@ _PANELS = (
     ("Reading logs", "columns topic torque gain kp kd"),
     ("Reading the robot", "tip root lock base"),
     ("Output", "view ros2 urscript json_file overwrite force quiet"),
-    ("Running", "seed workers jobs scheduler store threads device_name project_file debug"),
+    ("Running", "seed workers jobs scheduler store threads device_name debug"),
 )
 """Where in the help options stand, in this order: the panel and their names; `*` for all others."""
 _PLACES = {
@@ -123,12 +114,6 @@ class Option:
     def name(self) -> str:
         """In Python."""
         return self.parameter.name
-
-    @property
-    def aliases(self) -> tuple[str, ...]:
-        """Names that it had once, and that still work."""
-        old = self.info.param_decls or () if self.has_name else ()
-        return tuple(name for name in old if name.startswith("--") and name != self.shown)
 
     @property
     def info(self) -> Any:
@@ -191,9 +176,9 @@ class Option:
         return {self.kind, *parts, *(inner for part in parts for inner in get_args(part))}
 
     @property
-    def takes(self) -> tuple[bool, bool]:
-        """Whether it takes paths, and whether it takes several values."""
-        return Path in self.kinds, any(k is list or get_origin(k) is list for k in self.kinds)
+    def takes_paths(self) -> bool:
+        """Whether it takes paths."""
+        return Path in self.kinds
 
     def value(self, given: Any) -> Any:
         """What the command gets for what typer gives.
@@ -212,12 +197,15 @@ class Option:
         return given if parsed is None or given is None else parsed.read(given)
 
 
-def command(function: Callable[..., None], *, project: bool = True) -> Callable[..., None]:
+OPTIONS: dict[str, list[Option]] = {}
+"""The options of every command of the program, by its name with its group's: `log show`."""
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
     """The function as typer takes it: all options in its signature, the help in its docstring.
 
     When it runs, nothing is written over an input, and a parameter that is a context manager, as
-    `torchid.app.output.Output` is, is entered before the function and left behind it. A command of
-    one robot looks for a project file (`torchid.app.project`).
+    `torchid.app.output.Output` is, is entered before the function and left behind it.
     """
     hints = get_type_hints(function, include_extras=True)
     text, own = _parts(function, "Args")
@@ -237,8 +225,6 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
         results += said
         groups[parameter.name] = kind, [option.name for option in made]
         options += made
-    if project and any(option.name == "tip" for option in options):
-        options.append(_option("project_file", _Project, None, {}))
     options.append(_option("debug", Debug, False, {}))
 
     def run(**given: Any) -> None:
@@ -249,8 +235,7 @@ def command(function: Callable[..., None], *, project: bool = True) -> Callable[
             if given.get("overwrite") is False:
                 require_free(given, results)
             values = {option.name: option.value(given[option.name]) for option in options}
-            # These two are read before all others, and by nobody else.
-            values = {n: v for n, v in values.items() if n not in ("project_file", "debug")}
+            del values["debug"]  # read before all others, and by nobody else
             for name, (kind, names) in groups.items():
                 values[name] = kind(**{key: values.pop(key) for key in names})
                 if isinstance(values[name], AbstractContextManager):

@@ -67,8 +67,7 @@ def correct(
         name: of the file, without suffix; the robot's own, with `_corrected`, by default.
         held_out: trajectories that judge it. Without them a diagnosis of torques is judged by fits
             without each of its folds, and all else on the log that it was fitted to.
-        settings: of the diagnosis: the cut-off, band, folds and `rollout` of one of torques
-            (without the last nothing is simulated forwards), and the seed.
+        settings: of the diagnosis: the cut-off, band and folds of one of torques, and the seed.
         with_effects: write a second file, `_effects` after its name, fitted together with what has
             no field: it lies in a sidecar, and is added at run time. With a package's name that
             package's actuator class is written, too.
@@ -84,9 +83,8 @@ def correct(
     >>> simulated, arm = torchid.load_robot("3r"), torchid.load_robot("3r_friction")
     >>> motion = torchid.excite(arm, duration=6.0, restarts=1, iterations=5).log()
     >>> log = torchid.simulate(arm, motion)
-    >>> settings = torchid.GapSettings(rollout=False)
     >>> with TemporaryDirectory() as folder:
-    ...     done = correct(simulated, arm, log, "mjcf", folder, settings=settings)
+    ...     done = correct(simulated, arm, log, "mjcf", folder)
     >>> bool(done.judged.engine.mean() < 0.3 * done.judged.nominal.mean())
     True
     """

@@ -41,7 +41,7 @@ from torchid.gap.validate.traces import traces
 from torchid.results.words import effect_words, listed
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.shooting import starts_of, windows_of
-from torchid.simulation.two_models import DIVERGED, HORIZONS, rollouts
+from torchid.simulation.two_models import HORIZONS, errors_after, simulated
 from torchid.typing import Float, Tensor
 
 STARTS = 128
@@ -144,11 +144,9 @@ def _judged(
         held_out = alone if apart is None else "a held-out log"
         judged = Judged(unit="%", held_out=held_out, by=engines[0].name, band=data.band, **errors)
         _require_better(judged)
-        if asked.settings.rollout:
-            inside = _in_file(robot, whole, original, to)
-            forward = _forward(asked, full, inside, whole, on, data.silent)
-            judged = structs.replace(judged, forward=forward)
-    return judged
+        inside = _in_file(robot, whole, original, to)
+        forward = _forward(asked, full, inside, whole, on, data.silent)
+        return structs.replace(judged, forward=forward)
 
 
 def _require_better(judged: Judged) -> None:
@@ -193,34 +191,20 @@ def _forward(
 ) -> tuple[Forward, ...]:
     """Where the file of a robot, the robot as given and the diagnosed one are after each horizon,
     from the same starts; of joints whose torque says nothing, nothing is known."""
-    seed = asked.settings.seed
-    replayed = full.how_far.rollout if isinstance(full, TorqueDiagnosis) else None
-    if replayed is None:
-        replayed, _ = rollouts(*_models(asked, full), on.segments, HORIZONS, seed, STARTS)
-    horizons = [row.horizon_s for row in replayed.horizons]
-    starts = starts_of(on.segments, min(HORIZONS), STARTS, seed)
-    if not horizons or not len(starts.first):
+    starts = starts_of(on.segments, min(HORIZONS), STARTS, asked.settings.seed)
+    if not len(starts.first):
         return ()
-    windows = windows_of(on.segments, starts, max(horizons))
-    positions = None
+    windows = windows_of(on.segments, starts, max(HORIZONS))
+    inside = None
     with suppress(TorchidError):  # it refuses a URDF that Pinocchio reads
-        positions = InMujoco(path, robot).positions(windows)
+        inside = InMujoco(path, robot).positions(windows)
+    positions = [*(simulated(model, windows) for model in _models(asked, full)), inside]
+    known = torch.ones(robot.n, dtype=torch.float64)
+    known[list(silent)] = math.nan
     out = []
-    for row in replayed.horizons:
-        step = max(1, round(row.horizon_s / windows.dt))
-        use = windows.steps >= step
-        if not bool(use.any()):
-            out.append(Forward(row.horizon_s, 0, None, None, None))
-            continue
-        error = None
-        if positions is not None:
-            apart = (positions[use, step] - windows.q[use, step]).abs()
-            lost = torch.where(apart < DIVERGED, apart, DIVERGED)
-            error = lost.square().mean(0).sqrt()
-        known = torch.ones(robot.n, dtype=torch.float64)
-        known[list(silent)] = math.nan
-        errors = (None if x is None else x * known for x in (row.rms_before, row.rms_after, error))
-        out.append(Forward(row.horizon_s, int(use.sum()), *errors))
+    for horizon in HORIZONS:
+        count, errors = errors_after(horizon, positions, windows)
+        out.append(Forward(horizon, count, *(None if x is None else x * known for x in errors)))
     return tuple(out)
 
 

@@ -88,7 +88,7 @@ def randomise(
     >>> arm = torchid.load_robot("3r_friction")
     >>> log = torchid.simulate(arm, motion, noise=torchid.HonestNoise(), seed=1)
     >>> known = ("viscous_friction", "coulomb_friction")
-    >>> settings = torchid.GapSettings(effects=known, rollout=False)
+    >>> settings = torchid.GapSettings(effects=known)
     >>> wide = randomise(torchid.diagnose(robot, log, settings=settings).record)
     >>> {r.field for r in wide.ranges} == {"damping", "friction"}
     True

@@ -263,7 +263,7 @@ def fleet_gap(
     Args:
         model: the simulator, and how logs are read.
         logs: which.
-        settings: of every diagnosis; rollouts are left out if None.
+        settings: of every diagnosis; defaults if None.
         store: where diagnoses are kept; for this call only if None.
         workers: who does it; see torchid.parallel.workers.
         part: only this part of the logs.
@@ -273,7 +273,7 @@ def fleet_gap(
         RefusedError: a worker has another torchid.
         TorchidError: no log could be diagnosed, or a part that there is not.
     """
-    settings = settings or GapSettings(rollout=False)
+    settings = settings or GapSettings()
     with kept(store, workers) as place:
         tasks = [GapTask(log, model, place.place, settings) for log in part_of(logs, part)]
         outcomes = attempted(answer_gap, tasks, workers, "diagnosing logs", progress)

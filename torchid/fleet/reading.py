@@ -9,14 +9,10 @@ import pyarrow.parquet
 
 from torchid.fleet.factors import STRETCH, in_stretches
 from torchid.log.columns import is_wanted, log_from_columns
-from torchid.log.csv_file import csv_table
-from torchid.log.formats import from_arrow, parquet_table
+from torchid.log.formats import from_arrow
 from torchid.log.model import Log
 from torchid.log.readers import guarded, open_log
 from torchid.log.table import Request
-
-TEMPERATURE = "temperature"
-"""Name of the column."""
 
 PART = 600_000
 """Rows read at a time: ten minutes at 1 kHz, 200 MB with positions, velocities and torques of
@@ -48,21 +44,6 @@ def stretches(path: Path, request: Request) -> Iterator[Log]:
             named = log.replace(names=tuple(f"{name} part {k + 1}" for name in log.names))
             del batch, part, columns, log
             yield from in_stretches(named, 2 * STRETCH)
-
-
-def temperature_of(path: Path) -> float | None:
-    """Mean of a log's column `temperature` [degC], where it has one; of parquet and csv files."""
-    tables = {".parquet": parquet_table, ".csv": csv_table}
-    if path.is_dir() or path.suffix.lower() not in tables:
-        return None
-    with guarded(path):
-        table = tables[path.suffix.lower()](path, Request())
-        if TEMPERATURE not in table.columns:
-            return None
-        column = table.read([TEMPERATURE])[TEMPERATURE]
-    if column.dtype.kind not in "iuf" or not np.isfinite(column).any():
-        return None
-    return float(np.nanmean(column))
 
 
 def first_minute(log: Log) -> Log:

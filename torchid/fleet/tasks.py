@@ -29,10 +29,10 @@ from torchid.fleet.factors import (
 from torchid.fleet.factors import combined as both
 from torchid.fleet.manifest import FleetLog
 from torchid.fleet.model import FleetModel
-from torchid.fleet.reading import first_minute, stretches, temperature_of
+from torchid.fleet.reading import first_minute, stretches
 from torchid.fleet.record import Judged, LogRow
 from torchid.log.model import Log
-from torchid.parallel.store import Answer, Store, content_hash, key_of, local_file, stamp
+from torchid.parallel.store import Answer, Store, content_hash, key_of, local_file
 from torchid.parallel.workers import Failure
 
 
@@ -49,11 +49,9 @@ class LogAnswer(LogRow, frozen=True, kw_only=True):
     """What became of a log, and what its row in the JSON leaves out.
 
     Attributes:
-        temperature: mean of the log's column `temperature` [degC]; None without one.
         stored: whether the answer was there already.
     """
 
-    temperature: float | None = None
     stored: bool = False
 
     @classmethod
@@ -121,12 +119,12 @@ def answered(
     torch.set_num_threads(1)
     model.require_same_version()
     with local_file(log.path) as path:
-        before, digest = stamp(path), content_hash(path)
+        digest = content_hash(path)
         key = key_of({**question, "log": digest, "model": model.key})
 
         def of_whole_log() -> Answer:
             answer = compute(path)
-            if stamp(path) != before:
+            if content_hash(path) != digest:
                 raise ChangedError(f"'{log.path}' changed while it was read.")
             return answer
 
@@ -176,7 +174,6 @@ def _reduced(
         "noise": tuple(reduced.fit.noise.tolist()),
         "correlation": reduced.correlation,
         "blocks": len(reduced.factors.rows),
-        "temperature": temperature_of(path),
     }
     verdict: Judged = "doubtful" if evidence else "good"
     return (verdict, [*evidence, *reduced.warnings], more), reduced.factors

@@ -70,7 +70,7 @@ def diagnose(
     >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
     >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
     >>> log = torchid.simulate(robot, motion, effects=[friction])
-    >>> settings = GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> settings = GapSettings(effects=("viscous_friction",))
     >>> [(c.effect, c.joints) for c in diagnose(robot, log, settings=settings).answer.causes]
     [('viscous_friction', (1,))]
     """

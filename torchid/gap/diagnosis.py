@@ -49,7 +49,6 @@ from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot, torque_unit
 from torchid.robot.writer import write_robot
-from torchid.simulation.two_models import Rollout, SimulatedMotion
 from torchid.simulators.nearest_fields import NearestFields, nearest_fields
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -290,16 +289,12 @@ class HowFar:
             `torchid.gap.validate.closing`); None where the gap's interval holds zero.
         closed_ci95: what it may be on other motions, where the log has three different ones or
             more: of resampled motions and blocks of them; else of resampled blocks.
-        rollout: errors of simulated motion before and after, or None.
-        motions: simulated positions, one stretch a trajectory.
     """
 
     rms_before: Float[Tensor, " n"]
     rms_after: Float[Tensor, " n"]
     closed: float | None
     closed_ci95: tuple[float, float] | None
-    rollout: Rollout | None = None
-    motions: tuple[SimulatedMotion, ...] = ()
 
     @property
     def less(self) -> float:

@@ -28,7 +28,6 @@ from torchid.results.replication import Replication
 from torchid.results.words import effect_words
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
-from torchid.simulation.two_models import Rollout
 from torchid.simulators.nearest_fields import NearestFields
 from torchid.statistics.criteria import MOVED_STD, SET_MASS
 from torchid.typing import Float, Tensor
@@ -343,7 +342,6 @@ class FarRecord(Part, frozen=True, kw_only=True):
     closed: float | None
     closed_ci95: tuple[float, float] | None
     per_joint: tuple[JointRms, ...]
-    rollout: Rollout | None = None
 
 
 class Budget(Part, frozen=True):

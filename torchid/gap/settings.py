@@ -34,7 +34,6 @@ class GapSettings:
         folds: parts of the data, each left out in turn when the answer is judged.
         max_effects: number of effects accepted at most.
         held_out_fraction: share of each trajectory's end kept for validation, where no log is.
-        rollout: whether to simulate forwards before and after.
         seed: of everything random.
         only: (effect, joint from 0, or None for any place) that alone are candidates: a diagnosis
             that is told the answer, to compare others with; None for all places.
@@ -58,7 +57,6 @@ class GapSettings:
     folds: int = 5
     max_effects: int = 20
     held_out_fraction: float = 0.0
-    rollout: bool = True
     seed: int = 0
     only: tuple[tuple[str, int | None], ...] | None = None
 

@@ -43,12 +43,10 @@ from torchid.log.model import Log
 from torchid.parallel.workers import Progress, in_shares
 from torchid.results.answer import NotTestable, ordered
 from torchid.robot.model import Robot
-from torchid.simulation.two_models import rollouts
 from torchid.statistics.criteria import SHORTEST_LOG, UNLIKELY
 
 STAGES = {
-    "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9,
-    "simulating forwards": 8, "done": 0,
+    "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9, "done": 0,
 }  # fmt: skip
 """That are told as progress, with about the share of the time that each takes [%]."""
 
@@ -90,17 +88,6 @@ def diagnose_torque(
     decision = decide(found, problem)
     say("locating")
     result = describe_diagnosis(decision, problem)
-    if settings.rollout and not robot.floating:
-        if watch is not None:
-            watch(result.answer)  # which no simulation changes
-        say("simulating forwards")
-        here = problem.judged is None
-        on = problem.judged or problem.data
-        replayed, motions = rollouts(
-            result.robot, result.corrected, on.segments, seed=settings.seed, fitted_here=here
-        )
-        far = replace(result.how_far, rollout=replayed, motions=motions)
-        result = replace(result, how_far=far)
     say("done")
     return result
 

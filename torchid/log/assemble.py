@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from torchid.log.sources import (
     signal_of,
     time_of,
 )
-from torchid.log.table import AbsentColumnError, Request, Table, natural
+from torchid.log.table import AbsentColumnError, Table, natural
 
 OTHER_NAMES = " has no torque by our names"
 """What is said of a table that has torque, or current, by another name beside our own q."""
@@ -117,21 +116,6 @@ def _torque(table: Table) -> str | None:
     if guessed is None or not read_mapping(guessed[0]).sources.keys() & {"tau", "i"}:
         return None
     return guessed[0]
-
-
-def fitting_request(table: Table, request: Request) -> Request:
-    """The request as far as the table has what it names, where it may be left aside; else as it
-    is."""
-    if not request.spare:
-        return request
-    request = replace(request, topic=request.topic if table.topic else None)
-    if request.columns is None:
-        return request
-    try:
-        _plan(table, _first_of(table, request.columns))
-    except AbsentColumnError:
-        return replace(request, columns=None)
-    return request
 
 
 def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":

@@ -9,7 +9,7 @@ import numpy as np
 
 from torchid.errors import LogError
 from torchid.json_data import plain
-from torchid.log.assemble import fitting_request, unused_columns
+from torchid.log.assemble import unused_columns
 from torchid.log.base_motion import COORDINATES
 from torchid.log.checks import check_log
 from torchid.log.columns import JOINT_SIGNALS, PREFIXES
@@ -112,8 +112,6 @@ def look_at(
     """
     opened = open_logs(paths, request)
     log = Log.concatenate([one for _, one in opened])
-    if opened[0][0] is not None:
-        request = fitting_request(opened[0][0], request)
     tables = tuple(table for table, _ in opened)
     n = len(request.joints) + COORDINATES * moving_base if request.joints else log.n
     problem: str | None = None

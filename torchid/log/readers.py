@@ -17,7 +17,6 @@ import torchid
 from torchid.errors import LogError, TorchidError
 from torchid.files import atomic_write, similar_files
 from torchid.log.assemble import (
-    fitting_request,
     log_from_table,
     one_for_all,
     require_columns,
@@ -196,7 +195,6 @@ def open_log(
     found = require_log(path)
     try:
         table = _table(found, path, request)
-        request = fitting_request(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
@@ -218,7 +216,7 @@ def require_header(path: Path, request: Request) -> None:
     opener = require_log(path)
     if opener is csv_table or opener is parquet_table:
         table = _table(opener, path, request)
-        require_columns(table, fitting_request(table, request).columns)
+        require_columns(table, request.columns)
 
 
 def write_log(log: LogLike, path: str | Path) -> None:

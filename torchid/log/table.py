@@ -26,14 +26,12 @@ class Request:
         columns: which columns are what, where they have other names than ours.
         topic: of the joint states in a bag.
         joints: names of the robot's joints in order, where the robot is known; empty otherwise.
-        spare: whether columns and topic are left aside for a file that does not have them.
         spare_joints: names of other joints of the robot that a recording may have (`Robot.spare`).
     """
 
     columns: ColumnMapping | None = None
     topic: str | None = None
     joints: tuple[str, ...] = ()
-    spare: bool = False
     spare_joints: tuple[str, ...] = ()
 
     def maps(self, key: str) -> bool:

@@ -13,7 +13,7 @@ side's by a diagnosis of its own log.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -134,7 +134,7 @@ def compare_pair(
     """
     robot = None if robot is None else as_robot(robot)
     simulated, real = as_log(simulated, robot), as_log(real, robot)
-    settings = replace(settings or GapSettings(), rollout=False)
+    settings = settings or GapSettings()
     say = progress or (lambda stage, done, total: None)
     if robot is not None:
         _check_model(robot, simulated, real)

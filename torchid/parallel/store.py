@@ -138,36 +138,21 @@ def local_file(place: str) -> Iterator[Path]:
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256, in hexadecimal, of a file, or of all files in a folder with their names.
+    """SHA-256, in hexadecimal, of a file, or of the names and contents of all files in a folder.
 
     Raises:
         LogError: it cannot be read.
     """
-    digest = hashlib.sha256()
+    found: dict[str, str] = {}
     try:
-        for file in _files(path):
-            if file != path:
-                digest.update(file.relative_to(path).as_posix().encode() + b"\0")
-            with open(file, "rb") as stream:
-                while piece := stream.read(1 << 20):
-                    digest.update(piece)
+        for file in path.rglob("*") if path.is_dir() else [path]:
+            if not file.is_dir():
+                with open(file, "rb") as stream:
+                    digest = hashlib.file_digest(stream, "sha256").hexdigest()
+                found[file.relative_to(path).as_posix()] = digest
     except OSError as error:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-    return digest.hexdigest()
-
-
-def stamp(path: Path) -> tuple[tuple[int, int, int], ...]:
-    """Size, time of the last change and inode of a file, or of all files in a folder: another one
-    after somebody wrote to it."""
-    try:
-        states = [file.stat() for file in _files(path)]
-    except OSError as error:
-        raise LogError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-    return tuple((s.st_size, s.st_mtime_ns, s.st_ino) for s in states)
-
-
-def _files(path: Path) -> list[Path]:
-    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+    return key_of(found) if path.is_dir() else found["."]
 
 
 @cache

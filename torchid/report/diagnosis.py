@@ -29,7 +29,6 @@ from torchid.report.table import Code, Origin, Page, Report, Section, Table
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
 from torchid.results.words import count, digits, percent, span, sure
-from torchid.simulation.two_models import CONTROLLER, Horizon
 
 STATUS = {
     "no_gap": "no gap",
@@ -41,8 +40,6 @@ STATUS = {
     "not_testable": "cannot tell",
 }
 """What a status says, in the fewest words."""
-USUAL_S = 0.5
-"""Of simulated motion, whose error stands beside the headline [s]."""
 
 
 def suspects_table(answer: Answer) -> Table:
@@ -143,37 +140,18 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
     ]
     if isinstance(result, PositionDiagnosis):
         return [*out, ("Command alone", f"{digits(result.commanded.whole_mrad)} {unit}")]
-    row = _usual_horizon(result)
-    if row is not None and row.ratio is not None:
-        out.append((f"Simulated motion, {row.horizon_s:g} s", f"{row.ratio:.2g} of its error"))
     return out
 
 
-def _usual_horizon(d: TorqueDiagnosis) -> Horizon | None:
-    """The row of simulated motion after `USUAL_S`, or the one nearest to it."""
-    rows = d.how_far.rollout.horizons if d.how_far.rollout else ()
-    known = [row for row in rows if row.ratio is not None]
-    return min(known, key=lambda row: abs(row.horizon_s - USUAL_S), default=None)
-
-
 def which_model(result: TorqueDiagnosis | PositionDiagnosis, model: str = "") -> str:
-    """The model as given, or the corrected one, as `model` says it where it does, and whether its
-    simulated motion is better."""
+    """The model as given, or the corrected one, as `model` says it where it does, and what corrects
+    the simulator's file."""
     answer = result.answer
     text = model or model_words(answer, None, "the model as given", ())
-    row = _usual_horizon(result) if isinstance(result, TorqueDiagnosis) else None
-    if not answer.causes or row is None or row.ratio is None:
+    if not answer.causes or isinstance(result, PositionDiagnosis):
         return text
-    text = f"{text.rstrip('.')}."
-    if row.ratio >= 1 or (row.ratio_ci95 is not None and row.ratio_ci95[1] >= 1):
-        return (
-            f"{text} Its simulated motion is no better ({row.ratio:.2g} of the error after "
-            f"{row.horizon_s:g} s): compare both before you simulate."
-        )
-    return (
-        f"{text} Simulated for {row.horizon_s:g} s its positions err {row.ratio:.2g} times as "
-        "much. `torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."
-    )
+    file = "`torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."
+    return f"{text.rstrip('.')}. {file}"
 
 
 def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
@@ -195,12 +173,13 @@ def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
     )
 
 
-def _signals(name: str, signals: OverTime | None, caption: str) -> Picture | None:
+def _signals(name: str, signals: OverTime, caption: str) -> Picture | None:
     """A figure over time, for desk and phone, which zooms."""
-    if signals is None or not signals.runs:
+    if not signals.runs:
         return None
     first = f"{signals.quantity} of joint {signals.joints[signals.order[0]]}"
-    alt = f"Over time: {first}, of the arm and of both models."
+    models = " and of both models" if signals.models else ""
+    alt = f"Over time: {first}, of the arm{models}."
     narrow = partial(signals.draw, None, NARROW)
     return Picture(name, caption, alt, signals.draw, narrow=narrow, numbers=signals.numbers)
 
@@ -234,7 +213,7 @@ def _sections(
 
 def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture]) -> list[Section]:
     """What an engineer looks at first: the joint that errs most, over time and `against` all else;
-    and the motion of the arm and the simulation."""
+    and the motion of the arm, of commands beside the simulation's."""
     text = (
         "Joint positions: the arm, and both models moved by the same commands, in motions that "
         "were left out of the fit; before, the file's servos, or, where it has none, a plain servo "
@@ -242,15 +221,7 @@ def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture
     )
     torque = None
     if isinstance(d, TorqueDiagnosis):
-        text = (
-            "Joint positions: the arm, and both models with the measured torque under one "
-            f"controller ({CONTROLLER.natural_frequency:g} Hz), which holds them to the arm; of "
-            "each run the stretch in which it moves most. What parts a model from the arm is what "
-            "the controller has to make up for."
-        )
-        rollout = d.how_far.rollout
-        if rollout is not None and rollout.fitted_on_these_data:
-            text += " These runs were also used for fitting: the numbers are optimistic."
+        text = "Joint positions of the arm, as measured: along them both models have their torque."
         torque = _signals(
             "torque",
             torque_over_time(d),
@@ -259,11 +230,12 @@ def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture
             "friction can be anything.",
         )
     motion = _signals("motion", motion_over_time(d), text)
-    title = "Motion: the arm and the simulation, before and after"
     if torque is None:
+        title = "Motion: the arm and the simulation, before and after"
         return [Section(title, [motion], folded=False)]
     worst = "Torque of the joint that errs most, over time and over what it may depend on"
-    return [Section(worst, [torque, *against], folded=False), Section(title, [motion])]
+    moved = Section("Motion of the arm", [motion])
+    return [Section(worst, [torque, *against], folded=False), moved]
 
 
 def _simulator_code(d: TorqueDiagnosis) -> list[Code]:
@@ -295,8 +267,7 @@ def kinds(result: Diagnosis | DiagnosisRecord) -> Figures:
     if isinstance(result, PositionDiagnosis) or "torque" in drawn:
         assert isinstance(result, TorqueDiagnosis | PositionDiagnosis)
         drawn["robot"] = partial(skeleton_of, result)
-        if (motion := motion_over_time(result)) is not None:
-            drawn["motion"] = motion.draw
+        drawn["motion"] = motion_over_time(result).draw
     return drawn
 
 

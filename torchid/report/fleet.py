@@ -6,7 +6,6 @@ from functools import partial
 
 from torchid.fleet.gap import FleetGap
 from torchid.fleet.record import USED, FleetRecord, LogRow
-from torchid.fleet.watch import Watch
 from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREY, RED
 from torchid.report.page.document import Origin, Page
@@ -36,11 +35,6 @@ def report_of_fleet_gap(gaps: FleetGap) -> Report:
         figures={"map": partial(gap_map, gaps)},
         page=partial(fleet_gap_page, gaps),
     )
-
-
-def report_of_watch(watch: Watch) -> Report:
-    """All that there is to see of what drifts."""
-    return Report(verdict=watch_verdict(watch), parts=[alarm_table(watch)], warnings=watch.notes)
 
 
 def verdict(fleet: FleetRecord) -> str:
@@ -151,21 +145,3 @@ def fleet_gap_page(gaps: FleetGap, origin: Origin) -> Page:
         ],
         sortable=True,
     )
-
-
-def watch_verdict(watch: Watch) -> str:
-    """The clearest change, and how many there are."""
-    sessions = sum(len(u.sessions) for u in watch.units)
-    over = f"{count(len(watch.units), 'unit')} over {count(sessions, 'session')}"
-    if not watch.alarms:
-        return f"{watch.robot}, {over}: nothing has changed."
-    changed = len({a.unit for a in watch.alarms})
-    return f"{watch.robot}, {over}: {count(changed, 'unit')} changed. {watch.alarms[0].sentence}."
-
-
-def alarm_table(watch: Watch) -> Table:
-    """What changed, the clearest first."""
-    note = (
-        f"False alarms: one in {watch.false_alarm_every:g} sessions of a unit at most, on average."
-    )
-    return table_of("what changed", watch.alarms, note=note, most=MOST)

@@ -35,8 +35,7 @@ def evidence(record: GapRecord) -> Evidence:
         where=[where_picture(record)],
         friction=[friction_table(record)],
         numbers=[
-            joint_table(record), rollout_table(record), known_picture(record),
-            known_table(record), open_table(record),
+            joint_table(record), known_picture(record), known_table(record), open_table(record),
         ],
         unseen=[experiment_table(record)],
         remarks=[*record.noise_floor.notes, *remarks(record)],
@@ -121,13 +120,6 @@ def open_table(record: GapRecord) -> Table:
     return table_of(title, joints, beside={"open before this log, RMS": sizes})
 
 
-def rollout_table(record: GapRecord) -> Table:
-    """Position errors of short simulations, corrected model relative to the given one."""
-    rollout = record.how_far.rollout
-    rows = [row for row in (rollout.horizons if rollout else ()) if row.ratio is not None]
-    return table_of("simulated motion: position error after to before", rows)
-
-
 def remarks(record: GapRecord) -> list[str]:
     """What to know about the tables, one sentence each."""
     source = "repeats of a motion" if record.noise_floor.source == "repeats" else "the residual"
@@ -144,8 +136,7 @@ def remarks(record: GapRecord) -> list[str]:
         place = f" on {joints_words(one.located)}" if one.located else ""
         name = effect_words(one.effect)
         out += [f"{name[0].upper()}{name[1:]}{place}: {note}." for note in one.notes]
-    rollout = record.how_far.rollout
-    return out if rollout is None else [*out, *rollout.sentences]
+    return out
 
 
 def experiment_table(record: GapRecord) -> Table:

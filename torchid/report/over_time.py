@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -13,8 +14,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.panels import Figure, finish, panel, worst_stretch
 from torchid.results.words import joint_labels
-from torchid.robot.model import error_unit, joint_unit
-from torchid.simulation.two_models import DIVERGED
+from torchid.robot.model import Robot, error_unit, joint_unit
 from torchid.typing import Bool, Float, Tensor
 
 NARROW = 4.2
@@ -38,7 +38,8 @@ class Run:
     Attributes:
         name: of the run.
         t: (T,) [s].
-        measured, before, after: (T, n) of the arm and of both models; NaN where there is nothing.
+        measured: (T, n) of the arm.
+        before, after: (T, n) of both models, or None; NaN where there is nothing.
         command: (T, n) what the arm was asked for.
         aside: (T, n) instants that do not count.
         moving: (T, n) instants of motion, of which as many as may be are shown first.
@@ -47,15 +48,17 @@ class Run:
     name: str
     t: Float[Tensor, " T"]
     measured: Float[Tensor, "T n"]
-    before: Float[Tensor, "T n"]
-    after: Float[Tensor, "T n"]
+    before: Float[Tensor, "T n"] | None = None
+    after: Float[Tensor, "T n"] | None = None
     command: Float[Tensor, "T n"] | None = None
     aside: Bool[Tensor, "T n"] | None = None
     moving: Bool[Tensor, "T n"] | None = None
 
     def window(self, joint: int) -> tuple[slice, float]:
-        """Rows of `WINDOW_S` where the model before errs most on a joint, and its mean square."""
-        squares = (self.measured - self.before)[:, joint].square().nan_to_num()
+        """Rows of `WINDOW_S` where the model before errs most on a joint (without models, where the
+        joint is farthest from its mean), and the mean square of that."""
+        apart = self.measured - (self.measured.mean(0) if self.before is None else self.before)
+        squares = apart[:, joint].square().nan_to_num()
         if self.aside is not None:
             squares = squares * ~self.aside[:, joint]
         if self.moving is not None:
@@ -73,7 +76,7 @@ class OverTime:
         runs: some.
         joints, units: names and units, n.
         order: joints, the one with the largest error first.
-        models: names of the models before and after.
+        models: names of the models before and after; none where the arm is shown alone.
         error: unit of the errors, and how many of it one of the joint's units is; the joint's own
             unit if None.
         noise: (n,) RMS in the joints' units, or None.
@@ -85,7 +88,7 @@ class OverTime:
     joints: Sequence[str]
     units: Sequence[str]
     order: Sequence[int]
-    models: tuple[str, str]
+    models: tuple[str, ...]
     error: tuple[str, float] | None = None
     noise: Float[Tensor, " n"] | None = None
     where: str = ""
@@ -106,43 +109,54 @@ class OverTime:
         whole, _ = run.window(joint)
         rows = slice(whole.start, whole.stop, max(1, (whole.stop - whole.start) // _DRAWN))
         t = run.t[rows].numpy()
-        measured, before, after = (
-            x[rows, joint].numpy() for x in (run.measured, run.before, run.after)
-        )
-        figure, (upper, lower) = panel(width, 4.9, 2, 1, sharex=True, height_ratios=(3, 2))
+        measured = run.measured[rows, joint].numpy()
+        models = [x[rows, joint].numpy() for x in (run.before, run.after) if x is not None]
+        if models:
+            figure, panels = panel(width, 4.9, 2, 1, sharex=True, height_ratios=(3, 2))
+        else:
+            figure, panels = panel(width, 3.0, 1, 1, squeeze=False)
+        upper, *below = panels.ravel()
         if run.command is not None:
             command = run.command[rows, joint].numpy()
             upper.plot(t, command, color=GREY, linewidth=1.2, label="command")
         upper.plot(t, measured, color=INK, linewidth=2.2, label="arm, measured")
-        upper.plot(t, before, color=BEFORE, linewidth=1.3, label=self.models[0])
-        dashes = {"linestyle": (0, (5, 1.5))}
-        upper.plot(t, after, color=AFTER, linewidth=1.3, label=self.models[1], **dashes)
+        looks = ((BEFORE, "solid"), (AFTER, (0, (5, 1.5))))
+        for x, name, (colour, dashes) in zip(models, self.models, looks, strict=False):
+            upper.plot(t, x, color=colour, linewidth=1.3, label=name, linestyle=dashes)
         aside = None if run.aside is None else run.aside[rows, joint].numpy()
         if aside is not None and aside.any():
-            for axes, text in ((upper, "not counted: at rest, at a reversal"), (lower, None)):
+            texts = ("not counted: at rest, at a reversal", None)
+            for axes, text in zip((upper, *below), texts, strict=False):
                 axes.fill_between(
                     t, 0, 1, where=aside, transform=axes.get_xaxis_transform(), color=GREY,
                     alpha=0.22, linewidth=0, label=text,
                 )  # fmt: skip
+        for lower in below:
+            self._draw_errors(lower, joint, t, [measured - x for x in models])
+        upper.set_ylabel(f"{self.quantity} [{self.units[joint]}]")
+        panels.ravel()[-1].set_xlabel(f"time in {run.name} [s]")
+        upper.set_xlim(t[0], t[-1])
+        where = self.where if width > NARROW else ""
+        title = f"joint {self.joints[joint]}: {self.quantity}{where}"
+        return finish(figure, title, upper, *below, columns=5 if width > NARROW else 1)
+
+    def _draw_errors(self, axes: Any, joint: int, t: np.ndarray, off: Sequence[np.ndarray]) -> None:
+        """What parts a joint from each model, over the noise."""
         unit, scale = self.error_unit(joint)
         if self.noise is not None:
             high = scale * float(self.noise[joint])
-            lower.axhspan(-high, high, color=INK, alpha=0.12, linewidth=0, label="noise, ±1 RMS")
-        lower.axhline(0, color=GREY, linewidth=0.8)
-        lower.plot(t, scale * (measured - before), color=BEFORE, linewidth=1.2)
-        lower.plot(t, scale * (measured - after), color=AFTER, linewidth=1.2)
-        upper.set_ylabel(f"{self.quantity} [{self.units[joint]}]")
-        lower.set(xlabel=f"time in {run.name} [s]", ylabel=f"arm - model [{unit}]")
-        lower.set_xlim(t[0], t[-1])
-        where = self.where if width > NARROW else ""
-        title = f"joint {self.joints[joint]}: {self.quantity}{where}"
-        return finish(figure, title, upper, lower, columns=5 if width > NARROW else 1)
+            axes.axhspan(-high, high, color=INK, alpha=0.12, linewidth=0, label="noise, ±1 RMS")
+        axes.axhline(0, color=GREY, linewidth=0.8)
+        for x, colour in zip(off, (BEFORE, AFTER), strict=True):
+            axes.plot(t, scale * x, color=colour, linewidth=1.2)
+        axes.set_ylabel(f"arm - model [{unit}]")
 
     def numbers(self) -> dict[str, Any]:
         """All that a page's script draws: every joint of every run, thinned so that the page stays
         small, each curve as 16-bit numbers."""
         n = len(self.joints)
-        curves = 3 + any(run.command is not None for run in self.runs)
+        command = any(run.command is not None for run in self.runs)
+        curves = 1 + len(self.models) + command
         most = min(MOST_INSTANTS, BYTES // (len(self.runs) * n * curves * 8 // 3))
         scales = [self.error_unit(j) for j in range(n)]
         return {
@@ -198,6 +212,16 @@ def _short(x: float) -> float:
     return float(f"{x:.6g}")
 
 
+def _worst_first(d: TorqueDiagnosis) -> list[int]:
+    """Joints, the one with the largest share of the gap first."""
+    return [gap.joint for gap in sorted(d.record.where.joints, key=lambda gap: -gap.share)]
+
+
+def _units(robot: Robot) -> list[str]:
+    """Of each joint's position."""
+    return ["m" if joint_unit(robot, j) == "N" else "rad" for j in range(robot.n)]
+
+
 def torque_over_time(d: TorqueDiagnosis) -> OverTime:
     """Torque of the arm and of both models, on data that was not fitted."""
     runs = []
@@ -212,30 +236,20 @@ def torque_over_time(d: TorqueDiagnosis) -> OverTime:
     return OverTime(
         "torque", runs, joint_labels(d.robot.joint_names),
         [joint_unit(d.robot, j) for j in range(d.robot.n)],
-        [gap.joint for gap in sorted(d.record.where.joints, key=lambda gap: -gap.share)],
+        _worst_first(d),
         ("model as given", "corrected model"), noise=d.floor.high, where=" on data not fitted",
     )  # fmt: skip
 
 
-def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
-    """Positions of the arm and of both models: of torques with the measured torque under a
-    controller; of commands, whole motions left out. None where nothing was simulated."""
+def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime:
+    """Positions of the arm: of torques as measured; of commands beside those of both models, in
+    whole motions left out."""
     if isinstance(d, TorqueDiagnosis):
-        units = ["m" if joint_unit(d.robot, j) == "N" else "rad" for j in range(d.robot.n)]
-        runs = [
-            Run(f"{m.name}, from {float(m.t[0]):.1f} s", m.t, m.measured, m.before, m.after)
-            for m in d.how_far.motions
-        ]
-        if not runs:
-            return None
-        same = None if len(set(units)) > 1 else (error_unit(d.robot), 1e3)
-        # The joint that errs most first.
-        off = [(run.measured - run.before).nan_to_num(DIVERGED) for run in runs]
-        far = torch.stack([x.square().mean(0) for x in off]).amax(0)
+        seconds = (torch.arange(len(x.valid), dtype=torch.float64) / x.rate for x in d.traces)
         return OverTime(
-            "position", runs, joint_labels(d.robot.joint_names), units,
-            far.argsort(descending=True).tolist(), ("model as given", "corrected model"),
-            same, where=", with the measured torque under a controller",
+            "position",
+            [Run(x.name, t, x.motion.q) for x, t in zip(d.traces, seconds, strict=True)],
+            joint_labels(d.robot.joint_names), _units(d.robot), _worst_first(d), (),
         )  # fmt: skip
     data, (before, answered), runs = d.data, d.errors, []
     log = data.log
@@ -253,7 +267,7 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime | None:
         )  # fmt: skip
     moving = [j for j in range(data.robot.n) if not bool(d.still[j])]
     order = sorted(moving, key=lambda j: -float(d.before.whole[j])) or [0]
-    units = ["m" if joint_unit(data.robot, j) == "N" else "rad" for j in range(data.robot.n)]
+    units = _units(data.robot)
     units = [u if float(s) == 1 else "log's unit" for u, s in zip(units, data.scale, strict=True)]
     return OverTime(
         "position", runs, joint_labels(data.robot.joint_names), units, order,

@@ -75,7 +75,7 @@ def joint_views(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
     >>> friction = {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}
     >>> log = torchid.simulate(robot, motion, effects=[friction])
-    >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> settings = torchid.GapSettings(effects=("viscous_friction",))
     >>> joint = joint_views(torchid.diagnose(robot, log, settings=settings))[1]
     >>> total = joint.predicted + sum(joint.effects.values()) + joint.residual
     >>> torch.allclose(total, joint.measured), "viscous_friction" in joint.effects
@@ -191,7 +191,7 @@ def write_view(diagnosis: Diagnosis, path: str | Path) -> None:
     >>> import tempfile, torchid
     >>> robot = torchid.load_robot("3r")
     >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
-    >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> settings = torchid.GapSettings(effects=("viscous_friction",))
     >>> found = torchid.diagnose(robot, torchid.simulate(robot, motion), settings=settings)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     write_view(found, f"{folder}/gap.mcap")

@@ -1,33 +1,11 @@
-"""The checks of the diagnosis on one's own arm."""
+"""The calibration of a diagnosis on one's own log."""
 
 from collections import Counter
 from collections.abc import Sequence
 
-from torchid.report.table import Report, Table, table_of
-from torchid.results.words import count
+from torchid.report.table import Report, Table
 from torchid.statistics.criteria import SET_MASS
-from torchid.withheld.own import OwnCheck
 from torchid.withheld.planted import OUTSIDE, Calibration, Planted
-
-
-def report_of_own_check(found: OwnCheck) -> Report:
-    """All that there is to see of the check."""
-    half = "untouched data: the second half of every trajectory (--held-out for others)"
-    withheld = table_of("Accepted effects, withheld", found.withheld)
-    said: list[Table | str] = [withheld, *([] if found.whole else [half])]
-    return Report(verdict=own_headline(found), parts=said)
-
-
-def own_headline(found: OwnCheck) -> str:
-    """What was found again of what is there, in one sentence."""
-    if not found.withheld:
-        return "The first part of the logs shows no cause that could be hidden and sought again."
-    again, hidden = sum(w.in_set for w in found.withheld), count(len(found.withheld), "cause")
-    judged = [w.as_much for w in found.withheld if w.as_much is not None]
-    text = f"Of {hidden} hidden from the diagnosis in turn it found {again} again"
-    if not judged:
-        return f"{text}; without any of them these data show no gap."
-    return f"{text}; {sum(judged)} of the {len(judged)} gaps that they leave here were closed."
 
 
 def report_of_calibration(found: Calibration) -> Report:

@@ -553,7 +553,7 @@ class Diagnosis(Result):
     >>> motion = torchid.excite(robot, duration=8.0, restarts=1, iterations=0).log()
     >>> log = torchid.simulate(robot, motion, effects=[
     ...     {"effect": "viscous_friction", "joint": 2, "Fv": 0.5}])
-    >>> settings = torchid.GapSettings(effects=("viscous_friction",), rollout=False)
+    >>> settings = torchid.GapSettings(effects=("viscous_friction",))
     >>> found = torchid.diagnose(robot, log, settings=settings)
     >>> isinstance(found, Diagnosis), found.answer.unit, len(found.answer.joints)
     (True, 'N m', 3)

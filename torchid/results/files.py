@@ -34,9 +34,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.compare/2": "torchid.fleet.comparison:Comparison",
     "torchid.fleet/1": "torchid.fleet.record:FleetRecord",
     "torchid.fleet_gap/1": "torchid.fleet.gap:FleetGap",
-    "torchid.fleet_watch/1": "torchid.fleet.watch:Watch",
     "torchid.gap.calibration/1": "torchid.withheld.planted:CalibrationRecord",
-    "torchid.withheld.own/1": "torchid.withheld.own:OwnRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
 

@@ -33,19 +33,6 @@ class Rollout(NamedTuple):
     ignored: tuple[str, ...]
 
 
-class Held(NamedTuple):
-    """A controller that holds arms to a motion, beside the torque that they replay.
-
-    Attributes:
-        gains: Kp [N m/rad; N/m] and Kd [N m s/rad; N s/m], (n,) each.
-        q, dq: (B, T, n) of the motion at the samples.
-    """
-
-    gains: tuple[Float[Tensor, " n"], Float[Tensor, " n"]]
-    q: Float[Tensor, "B T n"]
-    dq: Float[Tensor, "B T n"]
-
-
 @torch.no_grad()
 def rollout(
     robot: Robot,
@@ -56,7 +43,6 @@ def rollout(
     dt: float,
     t0: float | Float[Tensor, " B"] = 0.0,
     *,
-    held: Held | None = None,
     longest_step: float = LONGEST_STEP,
 ) -> Rollout:
     """Motions that measured torques give.
@@ -64,7 +50,7 @@ def rollout(
     The robot has its own effects and those given. Effects in the sensors are undone on the torque
     where they are an affine map of it at each instant (gains, crosstalk), and on the initial
     position where they only add a constant to it; others (a delay, a compliance) are ignored and
-    named. An open loop drifts even with a good model, so windows should be short, or held.
+    named. An open loop drifts even with a good model, so windows should be short.
 
     Args:
         robot: with parameters.
@@ -73,7 +59,6 @@ def rollout(
         tau: measured torque at the samples [N m; N], on straight lines between them.
         dt: seconds between samples.
         t0: time of the first sample, on the clock of the effects [s].
-        held: a controller that adds to the torque.
         longest_step: of the integration [s].
 
     Returns:
@@ -88,19 +73,15 @@ def rollout(
     plant = plant_of(robot, [list(effects)], q0)
     true, shift, ignored = undone(robot, [*nominal_effects(robot), *effects], tau)
     begin = Motion(q0 - shift, dq0, torch.zeros_like(q0))
-    arms, stiffness, damping = len(true), None, None
-    if held is not None:
-        stiffness, damping = (k.to(true).expand(arms, -1) for k in held.gains)
-        true = true + stiffness[:, None] * (held.q - shift) + damping[:, None] * held.dq
     steps = max(1, math.ceil(dt / longest_step - 1e-9))
     h = dt / steps
-    t = torch.as_tensor(t0).to(q0).expand(arms)
+    t = torch.as_tensor(t0).to(q0).expand(len(true))
     state = plant.start(begin.q, begin.dq, begin.ddq, t)
     share = (torch.arange(steps).to(true) + 0.5) / steps
     between = torch.lerp(true[:, :-1, None], true[:, 1:, None], share[:, None])
     feeds = between.flatten(1, 2).transpose(0, 1)
     run = course(
-        plant, state, Drive(true[:, 0], damping, None, stiffness), feeds, t + h / 2, h,
+        plant, state, Drive(true[:, 0]), feeds, t + h / 2, h,
         keep="states", every=steps, first=steps - 1,
     )  # fmt: skip
     moved = run.signals.masked_fill(~run.alive.unsqueeze(-1), math.nan).transpose(1, 2)

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import torch
 
 from torchid.design.segments import Segment
-from torchid.typing import Bool, Float, Int, Tensor
+from torchid.typing import Float, Int, Tensor
 
 _STEP = 4e-3  # between samples, at most, where the passage has as many [s]
 _EDGE = 4.0  # periods of the wide band left out at the ends of a passage
-_BLOCK = 2.0  # length of a block of starts in horizons, and at least in seconds
 
 
 @dataclass(frozen=True)
@@ -38,8 +37,6 @@ class Windows:
         q, dq, tau: (B, T, n) measured positions, velocities and torques, the first at the start.
         t0: (B,) [s].
         steps: (B,) number of the last sample that the passage has.
-        place: (B,) of the start in the log [s], passages without the time between them.
-        passage: (B,) its number.
     """
 
     dt: float
@@ -48,24 +45,16 @@ class Windows:
     tau: Float[Tensor, "B T n"]
     t0: Float[Tensor, " B"]
     steps: Int[Tensor, " B"]
-    place: Float[Tensor, " B"]
-    passage: Int[Tensor, " B"]
-
-    def blocks(self, horizon: float, use: Bool[Tensor, " B"]) -> Int[Tensor, " b"]:
-        """Block of each start in use: stretches of a passage, several horizons long."""
-        stretch = (self.place[use] / (_BLOCK * max(1.0, horizon))).long()
-        pairs = torch.stack([self.passage[use], stretch])
-        return torch.unique(pairs, dim=1, return_inverse=True)[1]
 
 
-def edge_of(passage: Segment) -> int:
+def _edge_of(passage: Segment) -> int:
     """Samples at the ends of a passage that its filter has spoilt."""
     return math.ceil(_EDGE * passage.rate / passage.band)
 
 
 def starts_of(passages: Sequence[Segment], shortest: float, most: int, seed: int) -> Starts:
     """One start at random in each of equal shares of the time where the shortest horizon fits."""
-    edges = [edge_of(p) for p in passages]
+    edges = [_edge_of(p) for p in passages]
     room = torch.tensor(
         [
             max(0, p.length - 2 * edge - math.ceil(shortest * p.rate))
@@ -96,7 +85,7 @@ def windows_of(passages: Sequence[Segment], starts: Starts, longest: float) -> W
     offset = torch.tensor([0, *(p.length for p in passages)]).cumsum(0)[starts.passage]
     begin = offset + starts.first
     index = begin[:, None] + step * torch.minimum(torch.arange(count + 1), steps[:, None])
-    times = [p.motion.require("t", "a rollout") for p in passages]
+    times = [p.motion.require("t", "a simulation") for p in passages]
     return Windows(
         dt=step / rate,
         q=torch.cat([p.motion.q for p in passages])[index],
@@ -104,6 +93,4 @@ def windows_of(passages: Sequence[Segment], starts: Starts, longest: float) -> W
         tau=torch.cat([p.tau for p in passages])[index],
         t0=torch.cat(times)[begin],
         steps=steps,
-        place=begin / rate,
-        passage=starts.passage,
     )

@@ -197,7 +197,7 @@ def demonstrate(files: Files, seed: int, progress: Progress | None = None) -> De
     robot, log, new = load_robot(files.robot), read_log(files.logs), read_log(files.new)
     examination = examine(robot, log)
     identification = identify(robot, log, held_out=new, progress=progress)
-    settings = GapSettings(rollout=False, seed=seed)
+    settings = GapSettings(seed=seed)
     found = diagnose_torque(robot, log, held_out=new, settings=settings, progress=progress)
     withheld = read_json(files.key, "the key of the demonstration")["withheld"]
     opened = tuple(

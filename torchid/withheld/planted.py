@@ -24,15 +24,16 @@ from torchid.effects.registry import KINDS, model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.data import prepare
 from torchid.gap.diagnosis import Finding, TorqueDiagnosis
+from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.inputs import LogLike, as_log
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, each
 from torchid.results.record import Joint, Part, Real, Record, Result, Rows
+from torchid.results.words import number_list
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
-from torchid.withheld.own import Bed, FoundThere, in_set, named
 
 USUAL = (
     "coulomb_friction",
@@ -64,6 +65,15 @@ TIMES = 2.0
 
 
 @dataclass(frozen=True)
+class Bed:
+    """Where causes are planted: the corrected model as the simulator, and its log."""
+
+    robot: Robot
+    log: Log
+    settings: GapSettings
+
+
+@dataclass(frozen=True)
 class Planting:
     """A cause to be planted.
 
@@ -78,6 +88,16 @@ class Planting:
     joint: int
     torque: tuple[Float[Tensor, "T n"], ...]
     size: float
+
+
+class FoundThere(Part, frozen=True):
+    """An effect that was named, and where."""
+
+    effect: str
+    joints: tuple[Joint, ...]
+
+    def __str__(self) -> str:
+        return f"{self.effect} {number_list(self.joints)}".strip()
 
 
 class Planted(Part, frozen=True):
@@ -181,7 +201,7 @@ def calibrate(
     diagnosis.corrected.require_fixed_base("the calibration")
     if count < 1:
         raise TorchidError("a calibration plants causes.", got=count, expected="1 or more")
-    again = replace(diagnosis.settings, background=(), parameters="auto", rollout=False)
+    again = replace(diagnosis.settings, background=(), parameters="auto")
     # Of an arm that is seen for the first time nobody knows how sure its numbers are.
     model = replace(diagnosis.corrected, knowledge=None)
     bed = Bed(model, log, replace(again, held_out_fraction=0.0))
@@ -289,6 +309,18 @@ def _planted(
             if (f.effect.name, f.located) != (name, place)
         ),
     )
+
+
+def named(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
+    """Whether an effect was named at its place."""
+    return any((f.effect.name, f.located) == (name, place) for f in found.findings)
+
+
+def in_set(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
+    """Named, or among what a finding at its place, or of the whole arm, cannot be told from."""
+    said = [({f.effect.name, *f.ambiguous_with}, f.located) for f in found.findings]
+    said += [(set(p.ambiguous_with), p.links) for p in found.parametric]
+    return any(name in names and (not place or not at or at == place) for names, at in said)
 
 
 def _alike(finding: Finding, branch: str, place: tuple[int, ...]) -> bool:

@@ -1,6 +1,7 @@
 """`torchid withheld make, run, score`: sealed cases of the independent plant."""
 
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,13 +11,30 @@ from torchid.app import options as opt
 from torchid.app.inputs import PLACE
 from torchid.app.output import Kept, Printed
 from torchid.app.signature import Switch, command
-from torchid.app.withheld import Workers
 
 SetArgument = Annotated[
     Path,
     typer.Argument(metavar="DIR", help="A set of cases, from `torchid withheld make`."),
     PLACE,
 ]
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work.
+
+    Attributes:
+        jobs: Processes, of one thread each (default: all cores).
+    """
+
+    jobs: Annotated[int | None, typer.Option(min=1)] = None
+
+    @property
+    def count(self) -> int:
+        """Of processes; all cores that this one may use, by default."""
+        from joblib import cpu_count
+
+        return self.jobs or cpu_count()
 
 
 @command
@@ -64,7 +82,6 @@ def make_command(
 def run_command(
     *,
     folder: SetArgument,
-    rollout: bool = False,
     again: Switch = False,
     workers: Workers,
     output: Printed,
@@ -74,14 +91,14 @@ def run_command(
     Example: `torchid withheld run cases --jobs 2`
 
     Args:
-        rollout: Simulate short motions with the model before and after; no score needs it.
         again: Replace answers of another torchid, or with other settings.
     """
+    from torchid.gap.settings import GapSettings
     from torchid_bench.withheld.case_set import read_cases
-    from torchid_bench.withheld.run import ERROR, default_settings, jobs_of, run
+    from torchid_bench.withheld.run import ERROR, jobs_of, run
 
     found = read_cases(folder)
-    todo = jobs_of(found, default_settings(rollout=rollout))
+    todo = jobs_of(found, GapSettings())
     with output.progress() as progress:
         answers = run(todo, jobs=workers.count, again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}

@@ -28,12 +28,11 @@ def answer_all(cases: Path, number: str, factor: float, count: int | None, folde
     if changed is not None:
         setattr(criteria, number, changed)
     from torchid_bench.withheld.case_set import read_cases
-    from torchid_bench.withheld.run import default_settings, job_of, run
+    from torchid_bench.withheld.run import job_of, run
 
     found = read_cases(cases)
     folder.mkdir(parents=True, exist_ok=True)
-    settings = default_settings()
-    jobs = [job_of(found, case, folder / f"{case}.json", settings) for case in found.ids[:count]]
+    jobs = [job_of(found, case, folder / f"{case}.json") for case in found.ids[:count]]
     run(jobs, again=True)
 
 

@@ -2,14 +2,13 @@
 """A simulated fleet: odd units found and false ones, coverage, and what a log costs.
 
     python -m torchid_bench.benchmarks.fleet odd [--units 200] [--sessions 3] [--odd 12] [--alike] [--json FILE]
-    python -m torchid_bench.benchmarks.fleet watched
     python -m torchid_bench.benchmarks.fleet speed [--logs 6] [--seconds 60] [--json FILE]
 
 `odd`: units of the 3R whose nine coefficients of friction differ from unit to unit (5 %) and from
 day to day (2 %), under coloured torque noise of 1 %; in some of them one coefficient is off by so
 many standard deviations of what normal units' values scatter by; with --alike normal units do not
-differ at all, and the deviation counts in standard deviations of one session. `watched`: minutes
-until a change of a coefficient is told, from logs of a minute. `speed`: logs of a 7R arm at 1 kHz.
+differ at all, and the deviation counts in standard deviations of one session. `speed`: logs of a
+7R arm at 1 kHz.
 """
 
 import os
@@ -26,11 +25,10 @@ from tempfile import TemporaryDirectory
 
 import torch
 
-from tests.fleet.simulated import Plan, make, session_name, typical, unit_name
+from tests.fleet.simulated import Plan, make, typical, unit_name
 from torchid.fleet.identify import Fleet, fleet_identify, reduce_fleet
 from torchid.fleet.model import FleetModel
 from torchid.fleet.settings import FleetSettings
-from torchid.fleet.watch import watch
 from torchid.parallel.store import Store
 from torchid.robot.library import load_robot
 from torchid_bench.benchmarks.cpu_time import processor_time
@@ -127,47 +125,6 @@ def odd(units: int, sessions: int, count: int, alike: bool) -> dict:
     return out
 
 
-def watched(units: int = 30, changing: int = 10, sessions: int = 60, since: int = 20) -> dict:
-    """Logs of a minute each, from files to alarms: minutes until a changed coefficient is told, and
-    alarms where nothing changed. Which alarms come when does not depend on how many sessions
-    follow, but for the spread from day to day, which is that of all of them."""
-    robot = load_robot("3r_friction")
-    model = FleetModel(robot, FleetSettings(effects=EFFECTS))
-    names = [n for n in typical(robot) if n[:2] in ("Fv", "Fc")]
-    out: dict = {
-        "units": units,
-        "changing": changing,
-        "sessions": sessions,
-        "sizes": {},
-        "quiet_sessions": (units - changing) * sessions + changing * since,
-    }
-    with TemporaryDirectory() as text:
-        folder, store = Path(text), Store(f"{text}/store")
-        plan = Plan(units, sessions, 60.0, between=BETWEEN, daily=DAILY)
-        normal = make(robot, plan, folder / "normal", first=changing)
-        for share in (0.02, 0.05, 0.1, 0.2):
-            chosen = {k: names[k % len(names)] for k in range(changing)}
-            change = {k: (n, share * typical(robot)[n], since) for k, n in chosen.items()}
-            few = Plan(changing, sessions, 60.0, between=BETWEEN, daily=DAILY, drift=change)
-            logs = make(robot, few, folder / f"changing-{share:g}")
-            fleet = fleet_identify(model, [*normal, *logs], store=store, workers=2)
-            order = {session_name(s): s for s in range(sessions)}
-            # A minute of log an hour, and log without a break: one false alarm in 1000 hours.
-            for every in (1_000, 60_000):
-                true, false = {(unit_name(k), n): 0 for k, n in chosen.items()}, 0
-                for alarm in watch(fleet, every).alarms:
-                    at, what = order[alarm.said_at], (alarm.unit, alarm.parameter)
-                    if at < since or alarm.unit not in {unit for unit, _ in true}:
-                        false += 1
-                    elif what in true:
-                        true[what] = at - since + 1
-                minutes = sorted(t for t in true.values() if t)
-                row = {"told": len(minutes), "minutes": minutes, "false": false}
-                out["sizes"][f"{share:g}, {every}"] = row
-                print(share, every, row, flush=True)
-    return out
-
-
 def speed(count: int, seconds: float) -> dict:
     robot = load_robot("kuka_lwr4_friction")
     model = FleetModel(robot, FleetSettings())
@@ -200,7 +157,7 @@ def speed(count: int, seconds: float) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("odd", "watched", "speed"))
+    parser.add_argument("what", choices=("odd", "speed"))
     parser.add_argument("--units", type=int, default=200)
     parser.add_argument("--sessions", type=int, default=3)
     parser.add_argument("--odd", type=int, default=12)
@@ -212,7 +169,6 @@ def main() -> None:
     torch.set_num_threads(1)
     found = {
         "odd": lambda: odd(args.units, args.sessions, args.odd, args.alike),
-        "watched": watched,
         "speed": lambda: speed(args.logs, args.seconds),
     }[args.what]()
     if args.json is not None:

@@ -270,14 +270,14 @@ def main() -> None:
         for number in range(asked.first, asked.first + asked.cases):
             robot, log, size, gear = case(kind, number, asked.robot)
             begun = time.process_time()
-            found = torchid.diagnose(robot, log, settings=torchid.GapSettings(rollout=False))
+            found = torchid.diagnose(robot, log)
             seconds += time.process_time() - begun
             closed, share = found.how_far.closed or 0.0, float("nan")
             if not asked.no_oracle:
                 only = ((RIGHT[kind], gear.joint),)
                 settings = torchid.GapSettings(
                     effects=(RIGHT[kind],), only=only, parameters="trusted", alpha=0.5,
-                    max_effects=1, rollout=False,
+                    max_effects=1,
                 )  # fmt: skip
                 best = torchid.diagnose(robot, log, settings=settings).how_far.closed or 0.0
                 share = closed / best if best > 0 else float("nan")

@@ -214,13 +214,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     asked = parser.parse_args()
     torch.set_num_threads(1)
-    settings = torchid.GapSettings(rollout=False)
     for kind in asked.kinds or list(RIGHT):
         first = inset = small = beside = 0
         closed, seconds = [], time.process_time()
         for number in range(asked.first, asked.first + asked.cases):
             robot, log, size, joint = case(kind, number, asked.robot)
-            found = torchid.diagnose(robot, log, settings=settings)
+            found = torchid.diagnose(robot, log)
             causes = found.answer.causes
             names = [c.effect for c in causes]
             right = RIGHT[kind]

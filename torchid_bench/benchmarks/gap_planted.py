@@ -98,7 +98,7 @@ PAIRED = ("backlash", "joint_elasticity", "saturation")
 
 
 def settings_of(source: Source, **more: Any) -> GapSettings:
-    return GapSettings(rollout=False, cutoff=source.cutoff or "auto", **more)
+    return GapSettings(cutoff=source.cutoff or "auto", **more)
 
 
 def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:

@@ -115,7 +115,7 @@ def pairs(arm: Arm, data: Path) -> Iterator[tuple[str, Log, str, Log, float]]:
 
 
 def settings_of(arm: Arm, **more: Any) -> GapSettings:
-    return GapSettings(rollout=False, cutoff=arm.cutoff or "auto", **more)
+    return GapSettings(cutoff=arm.cutoff or "auto", **more)
 
 
 def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 # ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """Time and memory of a diagnosis by length of the log: 7 joints at 500 Hz, one effect planted.
 
-    python -m torchid_bench.benchmarks.gap_speed [--seconds 30 60 120 600] [--no-rollout] [--json FILE]
+    python -m torchid_bench.benchmarks.gap_speed [--seconds 30 60 120 600] [--json FILE]
 
 Each length runs in a process of its own, so that peak memory is its own. The log is synthetic: the
 closed-form torque of the LWR with Coulomb friction on one joint along exciting trajectories
@@ -30,7 +30,6 @@ import torch
 
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
@@ -56,7 +55,7 @@ def case(seconds: float, rate: float = RATE) -> tuple[Robot, Log]:
     return robot, synthetic_log(arm, trajectory_log(plan, rate), HonestNoise(), seed=1)
 
 
-def measure(seconds: float, rollout: bool) -> dict[str, Any]:
+def measure(seconds: float) -> dict[str, Any]:
     """Diagnose one log in this process."""
     torch.set_num_threads(1)
     robot, log = case(seconds)
@@ -71,7 +70,7 @@ def measure(seconds: float, rollout: bool) -> dict[str, Any]:
         spent[last[0]] += now - last[1]
         last = (stage, now)
 
-    found = diagnose_torque(robot, log, settings=GapSettings(rollout=rollout), progress=progress)
+    found = diagnose_torque(robot, log, progress=progress)
     progress("", 0, 0)
     del spent[""]
     return {
@@ -86,9 +85,8 @@ def measure(seconds: float, rollout: bool) -> dict[str, Any]:
     }
 
 
-def in_a_process(seconds: float, rollout: bool) -> dict[str, Any]:
+def in_a_process(seconds: float) -> dict[str, Any]:
     command = [sys.executable, __file__, "--one", str(seconds)]
-    command += [] if rollout else ["--no-rollout"]
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -96,17 +94,16 @@ def in_a_process(seconds: float, rollout: bool) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, nargs="+", default=[30.0, 60.0, 120.0, 600.0])
-    parser.add_argument("--no-rollout", action="store_true", help="without forward simulations")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     parser.add_argument("--one", type=float, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one is not None:
-        print(json.dumps(measure(args.one, not args.no_rollout)))
+        print(json.dumps(measure(args.one)))
         return
     print(f"{platform.platform()}, load {os.getloadavg()[0]:.1f}, torch {torch.__version__}")
     figures = []
     for seconds in args.seconds:
-        row = in_a_process(seconds, not args.no_rollout)
+        row = in_a_process(seconds)
         figures.append(row)
         names = ", ".join(f"{f['effect']} {f.get('joint', '')}".strip() for f in row["findings"])
         print(

@@ -115,7 +115,7 @@ def driven_twice(arm: Arm, motion: FourierTrajectory, std: tuple[float, ...], se
 
 
 def diagnosed(robot: Robot, log: Log, only: tuple[tuple[str, int | None], ...] | None = None):
-    return diagnose_torque(robot, log, settings=GapSettings(rollout=False, only=only))
+    return diagnose_torque(robot, log, settings=GapSettings(only=only))
 
 
 def members(robot: Robot, log: Log, found: Diagnosis, names: tuple[str, ...]) -> dict[str, Arm]:

@@ -89,7 +89,7 @@ def planted(seed: int) -> tuple[Robot, Robot, list[tuple[str, str, float]], Log]
 def covered(seed: int, level: float) -> tuple[list[bool], list[bool], float]:
     """Of the planted coefficients and of the base parameters, whether the ranges hold them."""
     robot, arm, truth, log = planted(seed)
-    settings = GapSettings(effects=SEARCHED, rollout=False, seed=seed)
+    settings = GapSettings(effects=SEARCHED, seed=seed)
     started = time.perf_counter()
     wide = randomise(diagnose_torque(robot, log, settings=settings).record, level, seed=seed)
     seconds = time.perf_counter() - started
@@ -164,7 +164,7 @@ def real(data: Path, level: float) -> None:
         else:
             apart = logs(data, (held_out,))
         started = time.perf_counter()
-        found = diagnose_torque(arm, log, settings=GapSettings(rollout=False))
+        found = diagnose_torque(arm, log)
         wide = randomise(found.record, level)
         shares = band(wide, found, apart)
         print(f"{name}: {' '.join(f'{x:.1f}' for x in shares.tolist())} %, mean", end=" ")

@@ -45,7 +45,6 @@ from torchid.excitation.design import excite
 from torchid.excitation.synthetic import simulate
 from torchid.export.export import export_dynamics
 from torchid.gap.diagnose import diagnose
-from torchid.gap.settings import GapSettings
 from torchid.identification.identify import identify
 from torchid.identification.settings import Settings
 from torchid.log.model import Log
@@ -339,9 +338,8 @@ def diagnosis(folder: Path) -> Iterator[Line]:
         columns = Columns(Model.of(robot), Samples(segments, CUTOFF))
         torch.linalg.qr(columns.regressor.flatten(0, 1).flatten(1).T)
 
-    settings = GapSettings(rollout=False)
     name = "gap, 10 s at 100 Hz / one regressor and QR"
-    yield name, minimal, 1, lambda: diagnose(robot, read_log(file), settings=settings), 1
+    yield name, minimal, 1, lambda: diagnose(robot, read_log(file)), 1
 
 
 def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:

@@ -138,7 +138,7 @@ def arms(options: argparse.Namespace) -> None:
             robot = torchid.load_robot(place / "robot.urdf")
             log = torchid.read_log(place / "log.parquet")
         before = time.process_time()
-        found = torchid.diagnose(robot, log, settings=torchid.GapSettings(rollout=False))
+        found = torchid.diagnose(robot, log)
         costs.append(time.process_time() - before)
         # Links of bodies, and joints of other causes, by the arm that they are of: 8 joints each.
         named = [k // 8 for one in found.parametric for k in one.links]

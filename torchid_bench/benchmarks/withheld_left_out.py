@@ -20,13 +20,14 @@ from joblib import cpu_count
 from torchid import __version__
 from torchid.effects.registry import FAMILIES, KINDS, effect_kind
 from torchid.errors import TorchidError
+from torchid.gap.settings import GapSettings
 from torchid.json_data import plain, read_json, write_json
 from torchid.parallel.workers import Progress, each
 from torchid_bench.benchmarks.withheld_page import counts_table, listed, markdown_table
 from torchid_bench.withheld.case_set import ANSWER, LOG, ROBOT, write_case
 from torchid_bench.withheld.measures import Verdict, rate, verdict
 from torchid_bench.withheld.rows import named_record, row_of
-from torchid_bench.withheld.run import ERROR, Job, default_settings, run
+from torchid_bench.withheld.run import ERROR, Job, run
 
 SCHEMA = "torchid.withheld.leave_out/1"
 KEY = "key.json"
@@ -107,7 +108,7 @@ def leave_out(
     diagnoses = []
     for one in todo:
         rest = tuple(name for name in KINDS if name != one.effect)
-        place, settings = folder / one.case, default_settings(effects=rest)
+        place, settings = folder / one.case, GapSettings(effects=rest)
         diagnoses.append(Job(one.case, place / ROBOT, place / LOG, place / ANSWER, settings))
     answers = run(diagnoses, jobs=jobs, again=again, progress=progress)
     return summary(seed, todo, keys, answers)

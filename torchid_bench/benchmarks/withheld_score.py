@@ -53,7 +53,7 @@ from torchid_bench.withheld.case_set import (
     read_cases,
     read_keys,
 )
-from torchid_bench.withheld.run import Job, default_settings, job_of, run, written_answer
+from torchid_bench.withheld.run import Job, job_of, run, written_answer
 from torchid_bench.withheld.score import require_answers, scored_case, summary
 
 LEVEL = 0.5
@@ -89,7 +89,7 @@ def oracle_answers(
 ) -> Answers:
     """Answers of the diagnosis that is told, by case with one effect of the library."""
     single = [key for key in keys if key["kind"] == "single" and key["id"] in wanted]
-    settings = {key["id"]: told(key, default_settings()) for key in single}
+    settings = {key["id"]: told(key, GapSettings()) for key in single}
     known = {case: own for case, own in settings.items() if own is not None}
     return _beside("oracle", cases, known, None, jobs, progress)
 

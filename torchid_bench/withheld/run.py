@@ -40,14 +40,9 @@ class Job:
     settings: GapSettings
 
 
-def default_settings(**changes: Any) -> GapSettings:
-    """Those of `torchid gap`, but for changes; simulating forwards has no part in the scores."""
-    return GapSettings(**{"rollout": False, **changes})
-
-
 def job_of(cases: CaseSet, case: str, answer: Path, settings: GapSettings | None = None) -> Job:
-    """A job for a case, its answer in any file; `default_settings` if None."""
-    return Job(case, cases.robot(case), cases.log(case), answer, settings or default_settings())
+    """A job for a case, its answer in any file; the default if None."""
+    return Job(case, cases.robot(case), cases.log(case), answer, settings or GapSettings())
 
 
 def jobs_of(cases: CaseSet, settings: GapSettings) -> list[Job]:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from tests.gap.small_logs import ROBOT, Recording, arm, friction, logged, true_motion
 from torchid.gap.search.findings import with_a_name
 from torchid.gap.search.odds import Odds
-from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.results.words import percent
@@ -65,7 +64,7 @@ def test_shares_of_names_and_of_terms_without_one_add_up():
     recording = Recording(runs=(0, 1, 2))
     real = arm(friction(1, Fc=1.5), friction(2, Fv=0.8))
     log = strange(logged(real, recording), true_motion(recording), 0.25)
-    found = diagnose_torque(ROBOT, log, settings=GapSettings(rollout=False))
+    found = diagnose_torque(ROBOT, log)
     answer = found.answer
     closes = sum(c.closes for c in answer.causes) + sum(law.unnamed for law in found.friction)
     assert closes + answer.unnamed == pytest.approx(answer.less, abs=1e-6)

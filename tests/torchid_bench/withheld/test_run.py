@@ -11,12 +11,12 @@ from torchid.gap.settings import GapSettings
 from torchid.parallel.workers import each
 from torchid_bench.withheld import run as running
 from torchid_bench.withheld.case_set import keys_beside, make
-from torchid_bench.withheld.run import default_settings, jobs_of, run
+from torchid_bench.withheld.run import jobs_of, run
 
 
 @pytest.fixture
 def todo(plant, tmp_path):
-    return jobs_of(make(tmp_path / "set", 3, seed=7), default_settings())
+    return jobs_of(make(tmp_path / "set", 3, seed=7), GapSettings())
 
 
 @pytest.fixture
@@ -52,9 +52,7 @@ def test_answers_stay_and_errors_are_tried_again(todo, said):
 
 def test_answers_of_another_diagnosis_are_not_taken_for_its_own(todo, said, monkeypatch, plant):
     run(todo)
-    other = [
-        job.__class__(**{**vars(job), "settings": default_settings(rollout=True)}) for job in todo
-    ]
+    other = [job.__class__(**{**vars(job), "settings": GapSettings(alpha=0.02)}) for job in todo]
     with pytest.raises(TorchidError, match="other settings"):
         run(other)
     monkeypatch.setattr(running, "source_digest", lambda: "another")
@@ -78,13 +76,12 @@ def test_progress_counts_what_is_there(todo, said):
 @pytest.mark.slow
 def test_the_diagnosis_needs_no_key(todo, tmp_path):
     keys_beside(tmp_path / "set").unlink()
-    quick = GapSettings(effects=("coulomb_friction", "viscous_friction"), rollout=False)
+    quick = GapSettings(effects=("coulomb_friction", "viscous_friction"))
     answers = run([replace(todo[0], settings=quick)])
     found = answers["case-0001"]
     assert (found["schema"], found["status"]) == ("torchid.gap/1", "explained")
     assert [(w["effect"], w["joints"]) for w in found["which"]] == [("coulomb_friction", [2])]
     assert found["seconds"] > 0
-    assert found["settings"]["rollout"] is False
     assert len(found["corrected"]["pi"]) == 2
 
 

@@ -2,9 +2,10 @@
 
 import pytest
 
+from torchid.gap.settings import GapSettings
 from torchid.statistics.proportion import wilson
 from torchid_bench.withheld.case_set import keys_beside, make, read_answers, read_keys
-from torchid_bench.withheld.run import default_settings, jobs_of, run
+from torchid_bench.withheld.run import jobs_of, run
 from torchid_bench.withheld.score import summary
 
 SEED, CASES = 101, 12
@@ -19,7 +20,7 @@ outside the library (no wrong family for sure), poor data (said so, or right).""
 @pytest.mark.usefixtures("types_unchecked")
 def test_the_score_is_not_below_the_recorded_one(tmp_path):
     cases = make(tmp_path / "set", CASES, SEED, jobs=2)
-    run(jobs_of(cases, default_settings()), jobs=2)
+    run(jobs_of(cases, GapSettings()), jobs=2)
     answers = read_answers(cases)
     scores = summary(cases, read_keys(cases, keys_beside(cases.folder)), answers)["scores"]
     assert scores["errors"] == []

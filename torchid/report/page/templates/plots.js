@@ -71,8 +71,8 @@ function plotted(figure, data) {
       modebar: {bgcolor: "transparent", color: colour("muted"), activecolor: colour("accent")},
       hovermode: "x unified", hoverlabel: {bgcolor: colour("raised"), bordercolor: colour("rule"), font: {color: colour("text")}},
       legend: {orientation: "h", y: 1.02, yanchor: "bottom", x: 0}, hoversubplots: "axis",
-      xaxis: {...axis, title: {text: "time [s]"}, range: [...one.windows[j]], anchor: "y2", hoverformat: ".2f"},
-      yaxis: {...axis, title: {text: `${data.quantity} [${data.units[j]}]`}, domain: [0.42, 1]},
+      xaxis: {...axis, title: {text: "time [s]"}, range: [...one.windows[j]], anchor: data.models.length ? "y2" : "y", hoverformat: ".2f"},
+      yaxis: {...axis, title: {text: `${data.quantity} [${data.units[j]}]`}, domain: [data.models.length ? 0.42 : 0, 1]},
       yaxis2: {...axis, title: {text: `arm \u2212 model [${data.errors[j]}]`}, domain: [0, 0.36], zeroline: true, zerolinecolor: colour("grey")},
     }, {responsive: true, displaylogo: false, displayModeBar: !narrow, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"]});
   }
