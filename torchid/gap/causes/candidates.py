@@ -1,0 +1,469 @@
+"""Candidates of causes: every effect at every place with every shape, as columns of samples.
+
+    gap = sum_k X_k x_k + noise,   x_k ~ N(0, P_k^-1)
+    P_k = diag(4 / largest^2) + mean_j X_kj' X_kj / (SLAB^2 |gap_j|^2)
+
+The slab says how large coefficients can be before the log is seen: on any arm and on this one; and
+together they make no much larger torque than the gap that they are to explain (Zellner 1986). What a
+model that was fitted before leaves open of itself is a nuisance: columns with the covariance that it
+states, always fitted.
+"""
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from torchid.gap.causes.misfit import noise_of_repeats
+from torchid.design.bodies import body_sizes
+from torchid.design.columns import Columns, Place, smoothed, together
+from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.file_mistakes import FileMistake
+from torchid.effects.gravity import BaseTilt, EncoderOffset, KinematicError, TorqueCrosstalk
+from torchid.effects.motion import Motion
+from torchid.effects.registry import KINDS
+from torchid.effects.transient import Contact
+from torchid.gap.data import Data
+from torchid.gap.problem import Problem
+from torchid.gap.search.scale import Scale
+from torchid.gap.search.terms import are_bodies, as_logged, logged
+from torchid.gap.wanted import BASE
+from torchid.identification.knowledge import known_names
+from torchid.statistics.criteria import BODY_STD, WRONG_BODY
+
+SLAB = 2.0
+"""Standard deviation of a cause's torque before the log is seen, over the gap that it is to
+explain [1]."""
+
+OPEN_STD = 10.0
+"""The same of what is fitted always and of which nothing is known, over the joint's torque [1]."""
+
+FLOOR = 1e-4
+"""Torque that is rounding of a log, over the joint's torque [1]."""
+
+SINGULAR = 1e-9
+"""Precision of a slab along a direction of which nothing is known, over the largest [1]."""
+
+ROUNDING = 1e-9
+"""Size of a column, relative to the largest torque, that is rounding."""
+
+FLAT = (EncoderOffset, KinematicError, BaseTilt)
+"""Smooth changes of the model: evaluated on the decimated samples, filtered before and not after."""
+
+LATER = ("backlash",)
+"""Effects whose columns are costly: evaluated on joints where something is left to explain."""
+
+WINDOWS_S = (0.4, 0.8, 1.5, 3.0)
+"""Lengths of windows in which a push is looked for [s]."""
+
+PUSHES = 3
+"""Windows of pushes that are offered at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A candidate: an effect at a place with a shape.
+
+    Attributes:
+        name: of the effect, or `all_base`.
+        effect: None of base parameters.
+        joints: from 0; none of what belongs to the whole arm.
+        place: the joint whose torque alone it changes; None of all joints.
+        columns: (C, N) of that joint, or (C, n, N), zero where samples do not count [N m; N].
+        spread: (C, C) root of the slab's covariance, spread spread'.
+        low, high: (C,) least and largest correction of each coefficient.
+        key: what it is, whatever its shape.
+        law: its joint's law of which it is one form, (branch, joint); None of what is a cause itself.
+        shapes: number of shapes of its key that are looked at.
+        serial: of its own, by which its products with others are kept.
+    """
+
+    name: str
+    effect: Effect | None
+    joints: tuple[int, ...]
+    place: Place
+    columns: np.ndarray
+    spread: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    key: tuple[object, ...]
+    law: tuple[str, int] | None = None
+    shapes: int = 1
+    serial: int = field(init=False, default_factory=itertools.count().__next__)
+
+    @property
+    def count(self) -> int:
+        """C."""
+        return len(self.low)
+
+    @property
+    def cause(self) -> tuple[object, ...]:
+        """What is counted as one cause: a joint's law with all its forms, or the effect itself."""
+        return self.key if self.law is None else self.law
+
+    @property
+    def inertial(self) -> bool:
+        """Whether it is a change of bodies."""
+        return self.effect is None or self.effect.inertial
+
+    def __repr__(self) -> str:
+        return self.name + "".join(f" {j + 1}" for j in self.joints)
+
+
+class Library:
+    """All candidates for the gap of a model on a log.
+
+    Args:
+        problem: gap, samples, and what is looked for.
+
+    Attributes:
+        gap: (n, N) what is to be explained, zero where samples do not count [N m; N].
+        rows: (n,) samples that count.
+        known_noise: (n,) what the model was seen to leave on its own log, RMS [N m; N]: nothing below
+            it is explained.
+        noise: (n,) RMS of what differs between repeats of a motion [N m; N]; nan without any.
+        torque, size: (n,) RMS of the measured torque and of the gap [N m; N].
+        nuisance: what is always fitted; None of a model that is taken as it is.
+        terms: candidates.
+    """
+
+    def __init__(self, problem: Problem):
+        self.problem = problem
+        self.data: Data = problem.data
+        self.columns: Columns = problem.given
+        self.samples = self.data.samples
+        self.n = self.columns.n
+        self.keep = self.data.keep.numpy().astype(float)
+        self.rows = np.maximum(self.keep.sum(1), 1.0)
+        self.gap = self.columns.gap.numpy() * self.keep
+        tau = logged(self.columns).numpy() * self.keep
+        self.torque = np.sqrt((tau**2).sum(1) / self.rows) + 1e-12
+        self.size = np.sqrt((self.gap**2).sum(1) / self.rows) + 1e-4 * self.torque
+        known, left = problem.wanted.knowledge, FLOOR * self.torque
+        if known is not None and known.left is not None:
+            left = np.maximum(left, known.left.numpy())
+        self.known_noise = left
+        self.scale = Scale(self.columns)
+        self.noise = noise_of_repeats(problem)
+        self.nuisance = self._nuisance()
+        self._late: dict[int, list[Term]] = {}
+        self.terms = self._with_shapes([*self._of_joints(), *self._of_the_arm(), *self._bodies()])
+
+    # ------------------------------------------------------------------ one candidate
+
+    def term(self, effect: Effect, place: Place, columns: np.ndarray, **more: object) -> Term | None:
+        """An effect as a candidate; None of one that makes no torque in this log."""
+        known = np.zeros(len(effect.coefficients))
+        for other, values in self.columns.model.effects:
+            if other == effect:
+                known = known + np.array(values)
+        low, _ = (np.array(v) for v in zip(*effect.ranges, strict=True))
+        high = self.scale.largest([effect]).numpy()
+        std = high / 2
+        if effect.scale_of_torque and self.data.gain_said and self.problem.wanted.knowledge is None:
+            std = np.full(len(known), self.data.gain_std)
+        name, joints = effect.name, effect.joints
+        law = (effect.law, joints[0]) if effect.law and len(joints) == 1 else None
+        fields = {"key": effect.identity, "law": law, "joints": joints, **more}
+        return self._sized(name, effect, place, columns, std, low - known, high - known, **fields)
+
+    def _sized(
+        self,
+        name: str,
+        effect: Effect | None,
+        place: Place,
+        columns: np.ndarray,
+        std: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        **fields: object,
+    ) -> Term | None:
+        """A candidate whose slab is no wider than the gap allows."""
+        columns = columns * (self.keep if place is None else self.keep[place])
+        own = slice(None) if place is None else slice(place, place + 1)
+        every = columns if place is None else columns[:, None]
+        size = np.sqrt((every**2).sum(-1) / self.rows[own])
+        felt = (size > ROUNDING * self.torque.max()).any(0)
+        if not felt.any():
+            return None
+        # In units of the gap, joint by joint; a column that is nowhere has a slab all the same.
+        unit = (every / (SLAB * self.size[own] * np.sqrt(self.rows[own]))[:, None])[:, felt]
+        flat = unit.reshape(len(unit), -1)
+        with np.errstate(divide="ignore"):
+            precision = flat @ flat.T / felt.sum() + np.diag(std**-2.0)
+        scale = np.sqrt(np.diagonal(precision))
+        scale = np.where(scale > 0, scale, 1.0)
+        unit = precision / scale / scale[:, None] + SINGULAR * np.eye(len(scale))
+        spread = np.linalg.inv(np.linalg.cholesky(unit)).T / scale[:, None]
+        return Term(name, effect, columns=columns, place=place, spread=spread, low=low, high=high, **fields)  # type: ignore[arg-type]
+
+    def of_effect(self, effect: Effect, like: Term | None = None) -> Term | None:
+        """A candidate from an effect, at its place; of one that all joints share, `like` that."""
+        if like is not None and len(like.joints) > 1 and like.key[-1] == "shared":
+            return self._shared(type(effect), like)
+        (place, columns), = self._columns([effect])
+        return self.term(effect, place, columns)
+
+    def _columns(self, effects: Sequence[Effect]) -> list[tuple[Place, np.ndarray]]:
+        """Columns of effects of one kind."""
+        first = effects[0]
+        if isinstance(first, FLAT):
+            arm = self.columns.model.arm_of(first)
+            at_samples = self._motion
+            return [(None, e.torque_columns(at_samples, arm).permute(2, 1, 0).numpy()) for e in effects]
+        if isinstance(first, TorqueCrosstalk):
+            torque = logged(self.columns).numpy()
+            return [(e.joint, torque[[e.read]]) for e in effects]  # type: ignore[attr-defined]
+        if isinstance(first, JointEffect) or len(effects) == 1:
+            found = [self.columns.of(e) for e in effects]
+        else:
+            found = list(self.columns.of_several(effects))  # type: ignore[arg-type]
+        return [(place, x.numpy()) for place, x in found]
+
+    @cached_property
+    def _motion(self) -> Motion:
+        """The motion at the samples, low-passed."""
+        every = [smoothed(m, self.samples) for m in self.columns.motions]
+        pick = {k: self.samples.pick([getattr(m, k) for m in every]) for k in Motion._fields[:3]}
+        torque = self.samples.pick([m.require("torque", "columns") for m in every])
+        return together(every)._replace(**pick, torque=torque, t=self.samples.t, direction=None, age=None)
+
+    def _with_shapes(self, terms: Iterable[Term | None]) -> list[Term]:
+        """Candidates that make torque, each with the number of shapes of its key."""
+        some = [t for t in terms if t is not None and self.problem.wanted.asks(t.name, t.joints)]
+        count: dict[object, int] = {}
+        for t in some:
+            count[t.key] = count.get(t.key, 0) + 1
+        return [replace(t, shapes=count[t.key]) for t in some]
+
+    # ------------------------------------------------------------------ all of them
+
+    def _kinds(self) -> list[type[Effect]]:
+        """Effects that are looked for and that the log can show."""
+        kinds = [KINDS[name] for name in self.problem.wanted.names if name not in LATER]
+        return [k for k in kinds if not (k.needs & self.data.missing or k.inertial or k.windowed)]
+
+    def _of_joints(self) -> Iterable[Term | None]:
+        """Effects of one joint's motion, in all shapes of their grids."""
+        motions, cutoff = self.columns.motions, self.samples.cutoff
+        driven = [j for j in self.columns.model.robot.driven if self.keep[j].any()]
+        for kind in self._kinds():
+            if not issubclass(kind, JointEffect):
+                continue
+            for j in driven:
+                # On a joint that does not slide, friction is whatever holds it.
+                if not self.data.slides[j] and (kind.jumps or kind.family in ("speed", "time")):
+                    continue
+                grid = kind.grid(motions, j, cutoff)
+                if not len(grid):
+                    continue
+                names = [s.name for s in kind.shapes]
+                found = self.columns.of_shapes(kind, j, grid).numpy()
+                for values, columns in zip(grid.tolist(), found, strict=True):
+                    effect = kind(j, **dict(zip(names, values, strict=True)))
+                    yield self.term(effect, j, columns)
+        # The model's own, in shapes that no grid holds.
+        for effect, _ in self.columns.model.effects:
+            if isinstance(effect, JointEffect) and effect.shapes and self.keep[effect.joint].any():
+                yield self.of_effect(effect)
+
+    def _of_the_arm(self) -> Iterable[Term | None]:
+        """Effects of the arm and its sensors, at all places; those that all joints share, too."""
+        robot = self.columns.model.robot
+        bodies, there = are_bodies(robot), as_logged(self.columns)
+        for kind in self._kinds():
+            if not issubclass(kind, ModelEffect) or issubclass(kind, FileMistake):
+                continue
+            if kind.of_bodies and not bodies:
+                continue
+            effects = [e for e in kind.starts(robot) if self._told(e, there)]
+            if effects:
+                for effect, (place, columns) in zip(effects, self._columns(effects), strict=True):
+                    yield self.term(effect, place, columns)
+            if kind.shared and len(effects) > 1:
+                yield self._shared(kind, None)
+        yield from self._file_mistakes()
+
+    def _told(self, effect: ModelEffect, there: Sequence[bool]) -> bool:
+        """Whether the log can tell of an effect: not on silent joints, nor of a sensor that reads a
+        torque that is not there."""
+        if isinstance(effect, TorqueCrosstalk) and not there[effect.read]:
+            return False
+        return not effect.joints or any(self.keep[j].any() for j in effect.joints)
+
+    def _shared(self, kind: type[Effect], like: Term | None) -> Term | None:
+        """One coefficient that all joints share."""
+        each = kind.candidates(self.columns.model.robot)  # type: ignore[attr-defined]
+        columns = sum(self.columns.on_all_joints(e) for e in each).numpy()  # type: ignore[union-attr]
+        joints = tuple(range(self.n))
+        key = (kind.name, "shared")
+        return self.term(each[0], None, columns, joints=joints, key=key, law=None)
+
+    def _file_mistakes(self) -> Iterable[Term | None]:
+        """Mistakes of the robot's file, where its parameters may be wrong and were fitted to no log."""
+        wanted, robot = self.problem.wanted, self.columns.model.robot
+        if not wanted.inertial or wanted.free or wanted.knowledge is not None:
+            return
+        regressor = self.columns.regressor
+        for kind in self._kinds():
+            if not issubclass(kind, FileMistake):
+                continue
+            each = [e for e in kind.starts(robot) if isinstance(e, FileMistake)]
+            made = [(e, e.change(robot)) for e in each]
+            made = [(e, change) for e, change in made if bool(change.any())]
+            for effect, change in made:
+                columns = torch.tensordot(change, regressor, 2).unsqueeze(0).numpy()
+                yield self.term(effect, None, columns)
+            if kind.shared and len(made) > 1:
+                change = torch.stack([c for _, c in made]).sum(0)
+                columns = torch.tensordot(change, regressor, 2).unsqueeze(0).numpy()
+                yield self.term(made[0][0], None, columns, joints=(), key=(kind.name, "shared"))
+
+    def _bodies(self) -> Iterable[Term | None]:
+        """Bodies: a load, the error of one link as usual or plainly wrong, and of all links."""
+        wanted, robot = self.problem.wanted, self.columns.model.robot
+        regressor = self.columns.regressor.numpy()
+        pi = robot.require_parameters("a diagnosis").pi.double()
+        size, none = body_sizes(pi).numpy(), np.full(10, np.inf)
+        if "payload" in wanted.names and not robot.tips:
+            effect = KINDS["payload"]()
+            mass = max(0.2 * float(pi[:, 0].abs().sum()), 0.05 * self.scale.mass, 1e-3)
+            std = np.array([mass] + [0.1 * mass] * 3 + [0.02 * mass] * 6)
+            low = np.where(np.arange(10) == 0, 0.0, -np.inf)
+            yield self._sized(
+                "payload", effect, None, regressor[-1], std, low, none, key=effect.identity, joints=()
+            )
+        if not wanted.inertial or wanted.free or wanted.knowledge is not None and not wanted.names:
+            return
+        links = [l for l in robot.bodies if l in robot.own_links]
+        if "link_inertia" in wanted.names:
+            for link in links:
+                effect = KINDS["link_inertia"](robot.own_links.index(link))  # type: ignore[call-arg]
+                for error in (BODY_STD, WRONG_BODY * BODY_STD):
+                    yield self._sized(
+                        "link_inertia", effect, None, regressor[link], error * size[link], -none,
+                        none, key=effect.identity, joints=effect.joints,
+                    )  # fmt: skip
+        if wanted.knowledge is None:
+            flat, every = regressor[robot.bodies[0] :], size[robot.bodies[0] :].ravel()
+            columns = flat.reshape(-1, *flat.shape[2:])
+            free = np.full(len(every), np.inf)
+            yield self._sized(
+                BASE, None, None, columns, BODY_STD * every, -free, free, key=(BASE,), joints=()
+            )
+
+    # ------------------------------------------------------------------ what is always fitted
+
+    def _nuisance(self) -> Term | None:
+        """What the model leaves open of itself, in coordinates in which it is independent."""
+        wanted = self.problem.wanted
+        if wanted.free:
+            return self._free_parameters()
+        if wanted.knowledge is None:
+            return None
+        # Links' parameters, and coefficients of the model's own effects, whose names are known.
+        own = [(e, known_names(e)) for e, _ in self.columns.model.effects if not e.event]
+        own = [(e, names) for e, names in own if set(names) <= set(wanted.knowledge.coefficients)]
+        known = wanted.knowledge.over([x for _, names in own for x in names]).information.numpy()
+        parts = [self.columns.regressor.flatten(0, 1).numpy()]
+        parts += [self.columns.on_all_joints(e).numpy() for e, _ in own]
+        columns = np.concatenate(parts) * self.keep
+        # In units of what a column is in this log; what it does not show is left out.
+        size = np.sqrt((columns**2).sum((1, 2)))
+        shows = size > ROUNDING * size.max()
+        columns, size, known = columns[shows], size[shows], known[np.ix_(shows, shows)]
+        values, axes = np.linalg.eigh(known / np.outer(size, size))
+        # What is hardly known makes no larger torque than the log holds some times.
+        widest = OPEN_STD * float(np.sqrt((self.torque**2 * self.rows).sum()))
+        std = np.maximum(values, widest**-2) ** -0.5
+        return self._always(np.tensordot((axes / size[:, None]).T, columns, 1), std)
+
+    def _free_parameters(self) -> Term:
+        """Base parameters and the background, of which nothing is known."""
+        wanted = self.problem.wanted
+        parts = [self.columns.regressor.flatten(0, 1).numpy()[list(wanted.base.by_link)]]
+        for name in wanted.background:
+            effects = [KINDS[name](j) for j in range(self.n)]  # type: ignore[call-arg]
+            parts += [self.columns.on_all_joints(e).numpy() for e in effects]
+        columns = np.concatenate(parts) * self.keep
+        size = np.sqrt((columns**2).sum(2) / self.rows)
+        with np.errstate(divide="ignore"):
+            std = OPEN_STD * np.where(size > 0, self.torque / size, 0.0).max(1)
+        shows = std > 0
+        return self._always(columns[shows], std[shows])
+
+    def _always(self, columns: np.ndarray, std: np.ndarray) -> Term:
+        """Columns that are always fitted."""
+        free = np.full(len(std), np.inf)
+        return Term("model", None, (), None, columns, np.diag(std), -free, free, ("model",))
+
+    # ------------------------------------------------------------------ what is looked at later
+
+    def plays(self, joints: Iterable[int]) -> list[Term]:
+        """Backlash on some joints."""
+        out: list[Term] = []
+        for name in LATER:
+            kind = KINDS[name]
+            if name not in self.problem.wanted.names or kind.needs & self.data.missing:
+                continue
+            for j in joints:
+                if j not in self._late:
+                    some = [e for e in kind.starts(self.columns.model.robot) if e.joint == j]  # type: ignore[attr-defined]
+                    found = zip(some, self._columns(some), strict=True) if some else ()
+                    made = [self.term(e, place, x) for e, (place, x) in found]
+                    self._late[j] = self._with_shapes(made)
+                out += self._late[j]
+        return out
+
+    def pushes(self, left: np.ndarray, weight: np.ndarray) -> list[Term]:
+        """Windows in which a constant force at the tool explains most of what is left.
+
+        Args:
+            left: (n, N) what is left [N m; N].
+            weight: (n,) of its squares.
+        """
+        if "contact" not in self.problem.wanted.names:
+            return []
+        base = Contact.candidates(self.columns.model.robot)[0]
+        assert isinstance(base, Contact)
+        pull = self.columns.on_all_joints(base).numpy() * self.keep
+        size = np.sqrt((pull**2).mean(2))
+        std = 0.5 * (self.torque / np.maximum(size, 1e-9)).min(1)
+        squares = np.einsum("anN,bnN,n->Nab", pull, pull, weight)
+        right = np.einsum("anN,nN,n->Na", pull, left, weight)
+        found, looked = list[tuple[float, int, int]](), 0
+        for own in self.samples.bounds:
+            # Sums over any window are differences of running sums.
+            g = np.concatenate([np.zeros_like(squares[:1]), squares[own].cumsum(0)])
+            b = np.concatenate([np.zeros_like(right[:1]), right[own].cumsum(0)])
+            length = own.stop - own.start
+            for seconds in WINDOWS_S:
+                size_ = max(3, round(seconds / self.samples.interval))
+                first = np.arange(0, length - size_, max(1, size_ // 4))
+                if not len(first):
+                    continue
+                looked += len(first)
+                a, v = g[first + size_] - g[first], b[first + size_] - b[first]
+                a = np.eye(len(std)) + a * std * std[:, None]
+                v = v * std
+                held = (v * np.linalg.solve(a, v[..., None])[..., 0]).sum(1)
+                gains = 0.5 * (held - np.linalg.slogdet(a)[1])
+                found += [
+                    (gain, own.start + i, own.start + i + size_)
+                    for gain, i in zip(gains.tolist(), first.tolist(), strict=True)
+                ]
+        t, taken, out = self.samples.t.numpy(), list[tuple[int, int]](), list[Term]()
+        for gain, i, k in sorted(found, reverse=True):
+            if len(taken) >= PUSHES or gain < np.log(max(looked, 1)):
+                break
+            if all(k <= a or i >= z for a, z in taken):
+                taken.append((i, k))
+                push = replace(base, start=float(t[i]), stop=float(t[k - 1]))
+                place, columns = self.columns.of(push)
+                key = ("contact", round(float(t[i]), 3))
+                term = self.term(push, place, columns.numpy(), key=key, shapes=looked)
+                out += [] if term is None else [term]
+        return out

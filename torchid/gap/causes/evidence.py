@@ -1,0 +1,355 @@
+"""One criterion for how good an explanation is: its marginal likelihood, with a price for looking.
+
+    E(S) = -1/2 sum_j n_j log L_j - 1/2 x'P x - 1/2 log|I + P^-1/2 G P^-1/2|
+           - sum_causes log(looks / EXPECTED) - sum_terms log(shapes)
+
+S is a set of terms with coefficients x, P the inverse covariance of their Gaussian slabs, G the normal
+matrix with each joint's squares in units of what is left, L_j the squares left on joint j. Slabs make
+ten numbers of a body, or six of a law, pay for themselves (MacKay 1992, Neural Computation 4(3);
+Zellner 1986). L_j is profiled over the size of the noise, which is no less than what the model was seen to leave on
+the log that it was made from.
+
+n_j belongs to a pair of explanations: the samples that tell them apart, rows over the correlation
+time of (what the better one leaves) times (the difference of their torques) (Bayley and Hammersley
+1946), fewer where the noise is louder where they differ (White 1980). So E is no function of S alone,
+and two explanations are compared with the same samples, both fitted with them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.linalg import block_diag
+from scipy.linalg.lapack import dpotrf, dpotrs
+
+from torchid.gap.causes.candidates import Library, Term
+from torchid.statistics.autocorrelation import autocorrelation, time_of
+from torchid.statistics.criteria import EXPECTED
+
+ROUNDS = 3
+"""Times that coefficients and the sizes of the noise are fitted in turn."""
+
+KEPT = 64
+"""Sets whose normal equations are kept for those that have one term more."""
+
+ROUNDED = 1e-13
+"""What is added to the unit diagonal of a matrix before it is factored: rounding."""
+
+DIFFERENT = 1e-12
+"""Share of the squares left from which on two explanations make another torque: rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A set of terms, fitted with so many samples.
+
+    Attributes:
+        terms: beside what is always fitted.
+        samples: (n,) that each joint's squares count as.
+        x: coefficients, those of the nuisance first, then term by term.
+        losses: (n,) sums of squares left [(N m)^2; N^2].
+        known: half of the coefficients' distance from zero in units of their slabs, and of the log
+            determinant: what they cost.
+        allowed: whether every coefficient is one that an arm can have.
+    """
+
+    terms: tuple[Term, ...]
+    samples: np.ndarray
+    x: np.ndarray
+    losses: np.ndarray
+    known: float
+    allowed: bool
+
+    def values(self) -> list[np.ndarray]:
+        """Coefficients, term by term."""
+        out, first = [], len(self.x) - sum(t.count for t in self.terms)
+        for t in self.terms:
+            out.append(self.x[first : first + t.count])
+            first += t.count
+        return out
+
+
+class Evidence:
+    """Fits of sets of a library's terms, and their comparison.
+
+    Args:
+        library: of the candidates.
+    """
+
+    def __init__(self, library: Library):
+        self.library = library
+        self.n, self.gap, self.rows = library.n, library.gap, library.rows
+        self.floor = library.known_noise**2 * self.rows
+        self.nuisance = () if library.nuisance is None else (library.nuisance,)
+        self._pairs: dict[tuple[int, int], np.ndarray] = {}
+        self._sets: dict[tuple[int, ...], np.ndarray] = {}
+        self._left: dict[int, tuple[Fit, np.ndarray]] = {}
+        self._slow: dict[int, torch.Tensor] = {}
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Count the causes that are looked at; to be called when the library has more terms."""
+        causes = {t.cause for t in self.library.terms}
+        self.looks = max(1, len(causes))
+        forms: dict[tuple[object, ...], set[tuple[object, ...]]] = {}
+        for t in self.library.terms:
+            forms.setdefault(t.cause, set()).add(t.key)
+        self.forms = {cause: len(keys) for cause, keys in forms.items()}
+
+    # ------------------------------------------------------------------ normal equations
+
+    def columns(self, terms: Sequence[Term]) -> np.ndarray:
+        """Columns (n, K, N) of terms on all joints."""
+        total = sum(t.count for t in terms)
+        out, k = np.zeros((self.n, total, self.gap.shape[1])), 0
+        for t in terms:
+            if t.place is None:
+                out[:, k : k + t.count] = t.columns.transpose(1, 0, 2)
+            else:
+                out[t.place, k : k + t.count] = t.columns
+            k += t.count
+        return out
+
+    def _pair(self, one: Term, other: Term) -> np.ndarray:
+        """Products (n, C, D) of two terms' columns, joint by joint."""
+        key = one.serial, other.serial
+        if key not in self._pairs:
+            out = np.zeros((self.n, one.count, other.count))
+            places = {one.place, other.place} - {None}
+            if len(places) == 1:
+                j = next(iter(places))
+                a, b = (t.columns if t.place is not None else t.columns[:, j] for t in (one, other))
+                out[j] = a @ b.T
+            elif not places:
+                a, b = one.columns.transpose(1, 0, 2), other.columns.transpose(1, 2, 0)
+                out[:] = a @ b
+            self._pairs[key] = out
+            self._pairs[key[::-1]] = out.transpose(0, 2, 1)
+        return self._pairs[key]
+
+    def _target(self, term: Term) -> np.ndarray:
+        """Products (n, C) of a term's columns with the gap."""
+        key = term.serial, -1
+        if key not in self._pairs:
+            out = np.zeros((self.n, term.count))
+            if term.place is None:
+                out[:] = np.einsum("cnN,nN->nc", term.columns, self.gap)
+            else:
+                out[term.place] = term.columns @ self.gap[term.place]
+            self._pairs[key] = out
+        return self._pairs[key]
+
+    def normal(self, terms: Sequence[Term]) -> np.ndarray:
+        """Normal matrices (n, K + 1, K + 1) of terms, the gap last; one more term is appended to those
+        of the others."""
+        key = tuple(t.serial for t in terms)
+        if key in self._sets:
+            return self._sets[key]
+        if not terms:
+            out = (self.gap**2).sum(1).reshape(-1, 1, 1)
+        else:
+            rest, last = terms[:-1], terms[-1]
+            before = self.normal(rest)
+            k, c = before.shape[1] - 1, last.count
+            out = np.zeros((self.n, k + c + 1, k + c + 1))
+            out[:, :k, :k], out[:, -1, -1] = before[:, :k, :k], before[:, k, k]
+            out[:, :k, -1] = out[:, -1, :k] = before[:, :k, k]
+            first = 0
+            for t in rest:
+                some = self._pair(t, last)
+                out[:, first : first + t.count, k : k + c] = some
+                out[:, k : k + c, first : first + t.count] = some.transpose(0, 2, 1)
+                first += t.count
+            out[:, k : k + c, k : k + c] = self._pair(last, last)
+            out[:, k : k + c, -1] = out[:, -1, k : k + c] = self._target(last)
+        if len(self._sets) >= KEPT:
+            del self._sets[next(iter(self._sets))]
+        self._sets[key] = out
+        return out
+
+    # ------------------------------------------------------------------ fits
+
+    def fit(self, terms: Sequence[Term], samples: np.ndarray) -> Fit:
+        """Terms beside what is always fitted; coefficients that physics forbids are at their bound.
+
+        Args:
+            samples: (n,) that each joint's squares count as.
+        """
+        terms = tuple(terms)
+        every = (*self.nuisance, *terms)
+        g = self.normal(every)
+        spread = spread_of(every)
+        low = np.concatenate([np.zeros(0), *(t.low for t in every)])
+        high = np.concatenate([np.zeros(0), *(t.high for t in every)])
+        pinned, at = np.zeros(len(low), bool), np.zeros(len(low))
+        slack = 1e-9 * np.abs(spread).max(1, initial=0.0)
+        for _ in range(ROUNDS):
+            x, losses, known = solved(g, spread, samples, self.floor, pinned, at)
+            below = (x < low - slack) & ~pinned
+            if not below.any():
+                break
+            pinned |= below
+            at = np.where(pinned, low, 0.0)
+        return Fit(terms, samples, x, losses, known, self._allowed(terms, x, low, high, pinned))
+
+    def _allowed(
+        self, terms: Sequence[Term], x: np.ndarray, low: np.ndarray, high: np.ndarray, pinned: np.ndarray
+    ) -> bool:
+        """Whether every cause is still there, and none larger than on any arm."""
+        first = len(x) - sum(t.count for t in terms)
+        if (x[first:] > 1.3 * high[first:]).any():
+            return False
+        for t in terms:
+            own = slice(first, first + t.count)
+            gone = pinned[own]
+            essential = t.effect.essential if t.effect is not None else ()
+            needed = list(essential) or list(range(t.count))
+            if t.name == "payload":
+                needed = [0]
+            if all(gone[k] for k in needed):
+                return False
+            first += t.count
+        return True
+
+    def left(self, fit: Fit) -> np.ndarray:
+        """Samples (n, N) that a fit leaves [N m; N]."""
+        if id(fit) not in self._left:
+            out, k = self.gap.copy(), 0
+            for t in (*self.nuisance, *fit.terms):
+                x = fit.x[k : k + t.count]
+                if t.place is None:
+                    out -= np.tensordot(x, t.columns, 1)
+                else:
+                    out[t.place] -= x @ t.columns
+                k += t.count
+            if len(self._left) >= KEPT:
+                oldest = next(iter(self._left))
+                del self._left[oldest]
+                self._slow.pop(oldest, None)
+            self._left[id(fit)] = fit, out
+        return self._left[id(fit)][1]
+
+    def _correlation(self, fit: Fit) -> torch.Tensor:
+        """Autocorrelations (n, L) of what a fit leaves."""
+        left = self.left(fit)
+        if id(fit) not in self._slow:
+            self._slow[id(fit)] = autocorrelation(torch.from_numpy(left), self.library.samples.bounds)
+        return self._slow[id(fit)]
+
+    def independent(self, fit: Fit) -> np.ndarray:
+        """Samples (n,) that tell of a constant torque in noise as a fit leaves it."""
+        times = time_of(self._correlation(fit)).numpy()
+        return np.maximum(self.rows / times, 1.0)
+
+    def telling(self, one: Fit, other: Fit) -> np.ndarray:
+        """Samples (n,) that tell two explanations apart in noise as the better one leaves it."""
+        better = one if self._total(one) <= self._total(other) else other
+        noise = self.left(better)
+        apart = self.left(one) - self.left(other)
+        both = self._correlation(better) * autocorrelation(
+            torch.from_numpy(apart), self.library.samples.bounds
+        )
+        a, b = apart**2, noise**2
+        loud = (a * b).sum(1) * self.rows / np.maximum(a.sum(1) * b.sum(1), 1e-300)
+        times = np.maximum(time_of(both).numpy(), 1.0) * np.maximum(loud, 1.0)
+        # Where the two make the same torque no sample tells anything, and all may count.
+        return np.where(a.sum(1) > DIFFERENT * b.sum(1), self.rows / times, self.rows)
+
+    def _total(self, fit: Fit) -> float:
+        return float((self.rows * np.log(fit.losses)).sum())
+
+    # ------------------------------------------------------------------ comparison
+
+    def price(self, terms: Sequence[Term]) -> float:
+        """Of looking: one for each cause, and the shapes and forms that were looked at."""
+        causes = {t.cause for t in terms}
+        out = len(causes) * math.log(self.looks / EXPECTED)
+        for t in terms:
+            out += math.log(t.shapes * self.forms.get(t.cause, 1))
+        return out
+
+    def value(self, fit: Fit) -> float:
+        """E of a fit with its own samples [nats]."""
+        if not fit.allowed:
+            return -math.inf
+        likelihood = -0.5 * float((fit.samples * np.log(fit.losses)).sum())
+        return likelihood - fit.known - self.price(fit.terms)
+
+    def over(self, one: Fit, other: Fit) -> float:
+        """Evidence of one explanation over another [nats], both fitted with the samples that tell
+        them apart."""
+        if not one.allowed:
+            return -math.inf
+        samples = self.telling(one, other)
+        a, b = self.fit(one.terms, samples), self.fit(other.terms, samples)
+        if not b.allowed:
+            return math.inf if a.allowed else 0.0
+        return self.value(a) - self.value(b)
+
+
+def spread_of(terms: Sequence[Term]) -> np.ndarray:
+    """Root (K, K) of the covariance of the slabs of terms."""
+    return block_diag(*(t.spread for t in terms)) if terms else np.zeros((0, 0))
+
+
+def solved(
+    g: np.ndarray,
+    spread: np.ndarray,
+    samples: np.ndarray,
+    floor: np.ndarray,
+    pinned: np.ndarray | None = None,
+    at: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Coefficients (K,), squares left (n,), and half of the coefficients' squares in units of their
+    slabs and of the log determinant of what the data say over what was known.
+
+    Args:
+        g: (n, K + 1, K + 1) normal matrices, the gap last.
+        spread: (K, K) root of the slabs' covariance.
+        samples, floor: (n,) that the squares count as, and squares that are rounding.
+        pinned, at: (K,) coefficients that are held, and where; none if None.
+    """
+    count = len(spread)
+    losses = np.maximum(g[:, -1, -1], floor)
+    if not count:
+        return np.zeros(0), losses, 0.0
+    free = np.ones(count, bool) if pinned is None else ~pinned
+    x = np.zeros(count) if at is None else at.copy()
+    if not free.any():
+        return x, np.maximum(np.append(x, -1.0) @ g @ np.append(x, -1.0), floor), 0.0
+    if not free.all():
+        # The slab of the others, whatever those that are held are.
+        spread = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(spread @ spread.T)[np.ix_(free, free)])).T
+    half = 0.0
+    for _ in range(ROUNDS):
+        h = np.tensordot(samples / losses, g, 1)
+        a, b = h[:-1, :-1], h[:-1, -1]
+        if not free.all():
+            a, b = a[np.ix_(free, free)], b[free] - a[np.ix_(free, ~free)] @ x[~free]
+        z, half = posterior(spread.T @ a @ spread, b @ spread)
+        x[free] = spread @ z
+        v = np.append(x, -1.0)
+        losses = np.maximum((v @ g) @ v, floor)
+        half += 0.5 * float(z @ z)
+    return x, losses, half
+
+
+def posterior(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float]:
+    """Solution (K,) of (I + a) z = b, and half of the log determinant of I + a."""
+    root, size = whitening(a)
+    z = dpotrs(root, b / size, lower=1)[0] / size
+    return z, float(np.log(np.diagonal(root)).sum() + np.log(size).sum())
+
+
+def whitening(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cholesky factor of I + a in units of its diagonal, and the root of that: sizes differ by many
+    orders."""
+    size = np.sqrt(1.0 + np.diagonal(a))
+    unit = (a + np.eye(len(a))) / size / size[:, None]
+    unit.flat[:: len(a) + 1] += ROUNDED
+    root, failed = dpotrf(unit, lower=1)
+    if failed:
+        raise FloatingPointError("normal equations that are not finite")
+    return root, size

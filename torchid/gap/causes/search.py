@@ -1,0 +1,294 @@
+"""One search: causes join, leave, are exchanged and refined while the evidence rises.
+
+Candidates are ranked with all samples, for noise that the missing cause itself makes leaves few of
+them; the ten most likely are fitted, and each is compared with the samples that tell it from the set
+at hand. The number of samples belongs to a pair, so that steps may lead back: a set that was visited
+is not taken again.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from torchid.gap.causes.candidates import Library, Term
+from torchid.gap.causes.evidence import Evidence, Fit, solved, spread_of
+from torchid.gap.causes.screen import Screen
+from torchid.effects.base import JointEffect, ModelEffect
+from torchid.statistics.blocks import block_numbers
+
+TRIED = 10
+"""Candidates that are fitted in a step."""
+
+MOST = 20
+"""Terms of an explanation at most."""
+
+STEP = 0.5
+"""Rise of the evidence from which a step is taken [nats]."""
+
+LEVELS = 2
+"""Times that a shape is refined, each time three times more closely."""
+
+ROUNDS = 3
+"""Times that the search goes over its steps at most, with shapes that were refined."""
+
+SLOW, MORE = 2.0, 1.25
+"""Samples that are alike, and residual over the noise of repeats, from which something is left to
+explain on a joint [1]."""
+
+WOVEN = 5
+"""Parts that a log is woven of when the worth of a cause is asked, each a fifth of its blocks: what
+drifts over a log is in all of them."""
+
+
+def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
+    """Terms but for some of them."""
+    return [t for t in terms if all(t is not g for g in gone)]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a search has found.
+
+    Attributes:
+        fit: the explanation.
+        small: terms that the evidence has and that are not worth a name.
+    """
+
+    fit: Fit
+    small: tuple[Term, ...]
+
+
+class Search:
+    """The search for one explanation.
+
+    Args:
+        library: of the candidates.
+        watch: called with each fit that the search goes on from.
+    """
+
+    def __init__(self, library: Library, watch: Callable[[str, Fit, float], None] | None = None):
+        self.library = library
+        self.evidence = Evidence(library)
+        self.screen = Screen(self.evidence)
+        self.watch = watch or (lambda step, fit, rise: None)
+        self.visited: set[frozenset[int]] = set()
+
+    def empty(self) -> Fit:
+        """What is always fitted, alone."""
+        first = self.evidence.fit((), np.maximum(self.library.rows / 4, 4.0))
+        return self.evidence.fit((), self.evidence.independent(first))
+
+    def again(self, fit: Fit) -> Fit:
+        """A fit with the samples that are independent in what it leaves."""
+        return self.evidence.fit(fit.terms, self.evidence.independent(fit))
+
+    def explanation(self) -> Found:
+        """The likeliest set of causes whose every member is worth its name."""
+        # Pushes first: a law that acts at an end or beyond a limit would explain one.
+        fit = self.empty()
+        self._offer(self._pushes(fit))
+        fit = self.grow(fit)
+        self._offer([*self.library.plays(self._open(fit)), *self._pushes(fit)])
+        for _ in range(ROUNDS):
+            before = {t.key for t in fit.terms}
+            fit = self.refine(self.swap(self.grow(fit)))
+            if {t.key for t in fit.terms} == before:
+                break
+        return self.worthwhile(self.shrink(fit))
+
+    # ------------------------------------------------------------------ steps
+
+    def likely(self, fit: Fit, without: frozenset[object] = frozenset()) -> list[Term]:
+        """Candidates beside a fit that are looked at closely: the most likely if all samples are
+        independent, and if as many are as in noise like what is left."""
+        ranked = [
+            self.screen.best(fit, samples, TRIED, without)
+            for samples in (self.library.rows, self.evidence.independent(fit))
+        ]
+        return list({t.serial: t for some in ranked for _, t in some}.values())
+
+    def _take(self, step: str, fit: Fit, rise: float) -> Fit:
+        self.visited.add(frozenset(t.serial for t in fit.terms))
+        self.watch(step, fit, rise)
+        return self.again(fit)
+
+    def _better(self, fits: Sequence[Fit], now: Fit, least: float) -> tuple[float, Fit] | None:
+        """The fit with the most evidence over what is there, above a least rise; none that was
+        visited."""
+        best: tuple[float, Fit] | None = None
+        for fit in fits:
+            if frozenset(t.serial for t in fit.terms) in self.visited:
+                continue
+            rise = self.evidence.over(fit, now)
+            if rise > (least if best is None else best[0]):
+                best = rise, fit
+        return best
+
+    def grow(self, fit: Fit) -> Fit:
+        """Causes join, and what they make superfluous leaves."""
+        while len(fit.terms) < MOST:
+            tried = [self.evidence.fit((*fit.terms, t), fit.samples) for t in self.likely(fit)]
+            step = self._better(tried, fit, STEP)
+            if step is None:
+                return fit
+            fit = self.shrink(self._take("+", step[1], step[0]))
+        return fit
+
+    def shrink(self, fit: Fit) -> Fit:
+        """Terms leave that the evidence does not need."""
+        while fit.terms:
+            tried = [self.evidence.fit(excluding(fit.terms, [t]), fit.samples) for t in fit.terms]
+            step = self._better(tried, fit, 0.0)
+            if step is None:
+                return fit
+            fit = self._take("-", step[1], step[0])
+        return fit
+
+    def swap(self, fit: Fit) -> Fit:
+        """One term is exchanged for another, which must be likelier than nothing in its place, too:
+        evidence is of pairs."""
+        for _ in range(MOST):
+            tried: list[Fit] = []
+            for t in fit.terms:
+                rest = excluding(fit.terms, [t])
+                base = self.evidence.fit(rest, fit.samples)
+                for other in self.likely(base):
+                    if other is not t:
+                        tried.append(self.evidence.fit((*rest, other), fit.samples))
+            step = self._better(tried, fit, STEP)
+            while step is not None:
+                rest = step[1].terms[:-1]
+                base = self.evidence.fit(rest, fit.samples)
+                if self.evidence.over(step[1], base) > 0:
+                    break
+                tried = [f for f in tried if f is not step[1]]  # type: ignore[index]
+                step = self._better(tried, fit, STEP)
+            if step is None:
+                return fit
+            fit = self.shrink(self._take("~", step[1], step[0]))
+        return fit
+
+    def refine(self, fit: Fit) -> Fit:
+        """Shapes, and secants of changes of the model, a little otherwise."""
+        for k in range(len(fit.terms)):
+            for level in range(LEVELS):
+                term, values = fit.terms[k], fit.values()[k]
+                fits = [
+                    self.evidence.fit((*fit.terms[:k], t, *fit.terms[k + 1 :]), fit.samples)
+                    for t in self._around(term, values, level)
+                ]
+                fits = [f for f in fits if f.allowed]
+                best = max(fits, key=self.evidence.value, default=fit)
+                if self.evidence.value(best) <= self.evidence.value(fit) + 1e-6:
+                    break
+                fit = best
+        return self.again(fit)
+
+    def _around(self, term: Term, values: np.ndarray, level: int) -> list[Term]:
+        """A term with shapes near its own, and with its secant at the estimate."""
+        library, effect = self.library, term.effect
+        if effect is None or effect.inertial:
+            return []
+        if isinstance(effect, JointEffect):
+            shapes = effect.finer(library.columns.motions, level, library.samples.cutoff)
+            if shapes is None:
+                return []
+            names = [s.name for s in effect.shapes]
+            found = library.columns.of_shapes(type(effect), effect.joint, shapes).numpy()
+            made = [
+                library.term(replace(effect, **dict(zip(names, v, strict=True))), effect.joint, x)  # type: ignore[arg-type]
+                for v, x in zip(shapes.tolist(), found, strict=True)
+            ]
+        else:
+            assert isinstance(effect, ModelEffect)
+            there = [] if len(term.joints) > 1 else [effect.at_estimate(values.tolist())]
+            near = [e for e in (*there, *effect.around(level, library.samples.interval)) if e != effect]
+            made = [library.of_effect(e) for e in near]
+        return [replace(t, shapes=term.shapes, key=term.key) for t in made if t is not None]
+
+    def _pushes(self, fit: Fit) -> list[Term]:
+        """Pushes in windows, beside a fit."""
+        return self.library.pushes(self.evidence.left(fit), self.library.rows / fit.losses)
+
+    def _open(self, fit: Fit) -> list[int]:
+        """Joints on which something is left to explain: more than differs between repeats; or, of a
+        log without any, what is slower than noise."""
+        library = self.library
+        size, slow = np.sqrt(fit.losses / library.rows), library.rows / self.evidence.independent(fit)
+        more = np.where(np.isnan(library.noise), slow > SLOW, size > MORE * library.noise)
+        return [j for j in range(library.n) if more[j] and library.keep[j].any()]
+
+    def _offer(self, terms: list[Term]) -> None:
+        """Candidates that are looked at from now on."""
+        there = {t.key for t in self.library.terms}
+        terms = [t for t in terms if t.key not in there]
+        if terms:
+            self.library.terms += terms
+            self.evidence.refresh()
+            self.screen.add(terms)
+
+    # ------------------------------------------------------------------ worth
+
+    def left_out(self, terms: Sequence[Term], part: np.ndarray, samples: np.ndarray) -> np.ndarray:
+        """Sums of squares (n,) that terms leave on parts of the log that they are not fitted on.
+
+        Args:
+            part: (N,) number of each sample's part.
+            samples: (n,) that all of them count as.
+        """
+        return left_out(self.evidence, terms, part, samples)
+
+    def worthwhile(self, fit: Fit) -> Found:
+        """Without what lowers no joint's error by as much as is worth a name on data that was not
+        fitted; the least worthy leaves first, and what is left may be exchanged."""
+        part = block_numbers(self.library.samples.bounds, round(1.5 / self.library.samples.interval))
+        woven = part.numpy() % WOVEN
+        small: list[Term] = []
+        while fit.terms:
+            whole = self.left_out(fit.terms, woven, fit.samples)
+            worth = []
+            for t in fit.terms:
+                without = self.left_out(excluding(fit.terms, [t]), woven, fit.samples)
+                worth.append(self.worth(whole, without))
+            if min(worth) >= 1:
+                break
+            k = int(np.argmin(worth))
+            small.append(fit.terms[k])
+            self.watch("small", fit, worth[k])
+            fit = self.again(self.evidence.fit(excluding(fit.terms, [fit.terms[k]]), fit.samples))
+        return Found(fit, tuple(small))
+
+    def worth(self, whole: np.ndarray, without: np.ndarray) -> float:
+        """Fall of the joints' errors by a cause, over what is worth a name; the largest of them.
+
+        Args:
+            whole, without: (n,) sums of squares left out, with the cause and without it.
+        """
+        library, settings = self.library, self.library.problem.settings
+        after, before = (np.sqrt(x / library.rows) for x in (whole, without))
+        # A share of the error; or a torque that is a share of the joint's.
+        torque = 0.5 * (settings.worthwhile_torque * library.torque) ** 2
+        least = np.maximum(settings.worthwhile * before, torque / np.maximum(before, 1e-300))
+        return float(((before - after) / np.maximum(least, 1e-300)).max())
+
+
+def left_out(
+    evidence: Evidence, terms: Sequence[Term], part: np.ndarray, samples: np.ndarray
+) -> np.ndarray:
+    """Sums of squares (n,) that terms leave on parts of the log that they are not fitted on."""
+    every = (*evidence.nuisance, *terms)
+    columns = evidence.columns(every)
+    full = np.concatenate([columns, evidence.gap[:, None]], 1)
+    spread = spread_of(every)
+    parts = []
+    for p in np.unique(part):
+        some = full[:, :, part == p]
+        parts.append(some @ some.transpose(0, 2, 1))
+    whole = sum(parts)
+    out = np.zeros(evidence.n)
+    for g in parts:
+        x, _, _ = solved(whole - g, spread, samples, evidence.floor)
+        v = np.append(x, -1.0)
+        out += (v @ g) @ v
+    return np.maximum(out, 1e-300)
