@@ -12,21 +12,16 @@ from tests.arms import arm
 from torchid.effects.registry import effect_from_record, model_torque
 from torchid.log.model import Log
 from torchid_bench.benchmarks.planted_cases import Case
-from torchid_bench.benchmarks.planted_oracle import (
+from torchid_bench.benchmarks.planted_evidence import (
     Gap,
-    Half,
-    Known,
     Terms,
-    class_of,
-    classified,
     comparable,
-    half_of,
     held_out,
     independent,
-    left_open,
-    library,
     nats,
 )
+from torchid_bench.benchmarks.planted_library import Half, half_of, left_open, library
+from torchid_bench.benchmarks.planted_oracle import Known, class_of, classified
 
 N, JOINTS = 60, 2
 
