@@ -8,13 +8,22 @@ import pytest
 import torch
 
 from tests.arms import arm
+from tests.marks import some
 from tests.oracles import MujocoOracle
 from tests.simulation.bodies import flywheel
 from torchid.robot.model import link_poses
 from torchid.simulation import servo_loop
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
-from torchid.simulation.servo_loop import Tracks, body_at, set_points, windows_of
+from torchid.simulation.servo_loop import (
+    Tracks,
+    Windows,
+    body_at,
+    body_near,
+    rollout,
+    set_points,
+    windows_of,
+)
 
 DT = 0.02
 
@@ -364,6 +373,46 @@ def test_sets_in_a_batch_do_not_disturb_each_other():
         alone = replayed(robot, servos, tracks, one, q[k : k + 1], torch.zeros(1, 3).double())
         rows = slice(int(tracks.first[k]), int(tracks.last[k]) + 1)
         assert torch.allclose(together[rows], alone[rows], atol=2e-5)
+
+
+def all_kinds(n: int, sets: int, seed: int) -> Servos:
+    """Sets of which each has another effect, and every third so little inertia of its own that
+    coupling outweighs it; one in six touches a plane."""
+    each = [drawn(n, seed + k) for k in range(sets)]
+    joint = torch.stack([servos.joint for servos in each])
+    kinds = (
+        {"dead_zone": 0.01}, {"stiction": 2.0, "stribeck_speed": 0.1}, {"motor_share": 0.2},
+        {"load_share": 0.1}, {"acceleration": 3.0}, {"lag": 0.05}, {"stop_high": 0.3},
+        {"armature": 5.0, "integral": 0.0},
+    )  # fmt: skip
+    joint[::3, :, INDEX["armature"]] = 1e-3
+    for k in range(sets):
+        for name, value in kinds[k % len(kinds)].items():
+            joint[k, :, INDEX[name]] = value
+    plane = torch.zeros(sets, 5, dtype=torch.float64)
+    plane[::6, 3:] = torch.tensor([0.3, 500.0], dtype=torch.float64)
+    return Servos(joint, plane)
+
+
+@pytest.mark.parametrize("seed", some(range(8), slow=0, quick=1))
+def test_an_answer_hangs_on_nothing_that_is_simulated_beside_it(seed: int) -> None:
+    """A set alone is what it is among 24 others, and a window alone what it is among others."""
+    robot, tracks = arm("kuka_lwr4"), sines(7, 60, 2, seed=seed)
+    servos, windows = all_kinds(7, 25, seed), windows_of(tracks, 0.4)
+    q, dq = tracks.u, torch.zeros_like(tracks.u)
+    body = body_near(robot, q, dq, 6).midway(tracks.last)
+
+    def run(sets: Servos, some: Windows) -> torch.Tensor:
+        return rollout(sets, body, tracks, some, q[some.start], dq[some.start], measured=q)
+
+    together = run(servos, windows).nan_to_num(9.0)
+    for k in range(0, 25, 1 if seed else 4):
+        one = replace(servos, joint=servos.joint[k, None], plane=servos.plane[k, None])
+        alone = run(one, windows).nan_to_num(9.0)
+        assert torch.allclose(alone[..., 0], together[..., k], rtol=0, atol=1e-12), k
+    for w in range(len(windows.start)):
+        alone = run(servos, windows.some(torch.tensor([w])))
+        assert torch.allclose(alone[:, 0], together[: len(alone), w], rtol=0, atol=1e-12), w
 
 
 def test_servos_survive_their_record():

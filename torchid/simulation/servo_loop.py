@@ -46,9 +46,10 @@ NEARLY = 0.05
 """Share of a step by which steps may be longer: clocks of logs are not exact [1]."""
 SWEEPS = 30
 """Most solutions of a step where one set is run."""
-COUPLED, APART = 3, 2
-"""The same where many sets are, while a joint has more coupling than inertia, and else: one alone,
-with the accelerations of the step before, errs by milliradians where a joint sets out."""
+TOGETHER = 3
+"""Solutions of a step where many sets are run, of every set and window alike: an answer hangs on
+nothing that is run beside it. One alone, with the accelerations of the step before, errs by
+milliradians where a joint sets out."""
 STOP_STIFFNESS, STOP_SHARE = 200.0, 10.0
 """Of an end stop: so much [N m/rad], and no less than so many times the servo's gain [1]."""
 CONTACT_DAMPING = 20.0
@@ -367,11 +368,12 @@ def _limited(
 ) -> Float[Tensor, "n S T"]:
     """Commands through profiles with limits (n, S, 1) of acceleration and of speed, in stretches
     that hold rows that are needed."""
-    bound = (a.isfinite() | top.isfinite()).flatten(1).any(1)
+    bound = (a.isfinite() | top.isfinite())[..., 0]
     if not bool(bound.any()):
         return u
     out = u.clone()
-    # The limits of joints with a profile; what is not limited is so high that it does not matter.
+    # Of joints and sets with a profile alone: others follow lines from command to command, which
+    # no limit does, however high. Of two limits that which is none is so high that it is none.
     a, top = (x[bound].clamp(max=most) for x, most in zip((a, top), FASTEST, strict=True))
     goal = out[bound]
     # Motions in stretches side by side. Each begins a while before it counts, where all goals have
@@ -381,7 +383,7 @@ def _limited(
     asked_for = torch.nn.functional.pad(needed.cumsum(0), (1, 0)).tolist()
     for low, high in zip(tracks.first.tolist(), tracks.last.tolist(), strict=True):
         asked = goal[..., low : high + 1].diff(n=2).abs() / tracks.dt**2 > a / 2
-        busy = torch.nn.functional.pad(asked.flatten(0, 1).any(0).int(), (2, 0)).cumsum(0)
+        busy = torch.nn.functional.pad(asked.any(0).int(), (2, 0)).cumsum(0)
         row = low
         while row < high:
             end = min(row + _STRETCH, high)
@@ -401,8 +403,8 @@ def _limited(
     # of one row lie together.
     order = np.argsort(count)[::-1]
     at, counts, counted = (np.array(x)[order] for x in (begin, count, first))
-    goals = goal.permute(2, 0, 1).contiguous().numpy()
-    limits, out_of = (a[..., 0].numpy(), top[..., 0].numpy()), goals.copy()
+    goals = goal.T.contiguous().numpy()
+    limits, out_of = (a[:, 0].numpy(), top[:, 0].numpy()), goals.copy()
     x, v, before = goals[at], np.zeros_like(goals[at]), goals[at]
     for k in range(int(counts[0])):
         live = int((counts > k).sum())
@@ -416,8 +418,7 @@ def _limited(
         before, at = target, at + 1
         keep = at > counted[:live]
         out_of[at[keep]] = x[keep]
-    followed = torch.from_numpy(out_of).permute(1, 2, 0)
-    out[bound] = followed
+    out[bound] = torch.from_numpy(out_of).T.contiguous()
     return out
 
 
@@ -607,7 +608,7 @@ def _side_by_side(
             # A body that is not known beforehand is evaluated in each part of a sample, and the
             # steps are solved for their own accelerations.
             1 if known else math.ceil(tracks.dt / STEP - NEARLY),
-            (COUPLED, APART) if known else (SWEEPS, SWEEPS),
+            (TOGETHER, 0.0) if known else (SWEEPS, _SETTLED),
         )
 
     parts = order.split(max(1, _NUMBERS // (servos.n * sets)))
@@ -656,14 +657,14 @@ class _NearBody(NamedTuple):
     Attributes:
         load: torque at rest [N m].
         coupling: columns of the mass matrix but its diagonal.
-        lacking: what a joint's inertia lacks of its coupling; None where none lacks any.
+        lacking: what a joint's inertia lacks of its coupling.
         lean, soft, stiff: factors of the velocity at a step's beginning, and of its mean without
             the servo and with it.
     """
 
     load: Tensor
     coupling: Sequence[Tensor]
-    lacking: Tensor | None
+    lacking: Tensor
     lean: Tensor
     soft: Tensor
     stiff: Tensor
@@ -683,11 +684,11 @@ class _Run:
         dt: float,
         longest_step: float,
         parts: int,
-        sweeps: tuple[int, int],
+        sweeps: tuple[int, float],
     ):
         self.table, self.plane, self.points, self.owner = table, plane, points, owner
         self.begin, self.dt, self.longest_step = begin, dt, longest_step
-        self.parts, self.sweeps, self.least = parts, *sweeps
+        self.parts, self.sweeps, self.settled = parts, *sweeps
         each = math.ceil(dt / parts / longest_step - NEARLY)
         steps = parts * each
         self.h, self.steps = dt / steps, steps
@@ -881,10 +882,8 @@ class _Run:
         # Where coupling outweighs a joint's own inertia, as much is added on both sides of the
         # equation, here with this step's acceleration, there with the last one's.
         inertia = own + self.p["armature"]
-        lacking = None
-        if float((more := dominance - inertia).max()) > 0:
-            lacking = more.clamp_(min=0)
-            inertia = inertia + lacking
+        lacking = (dominance - inertia).clamp_(min=0)
+        inertia = inertia + lacking
         # Gravity in the middle of the part.
         ahead = torch.add(state.q, state.v, alpha=wait).sub_(near_q)
         load = _plus_product(bias, stiffness, ahead)
@@ -947,10 +946,8 @@ class _Run:
         if more is not None:
             soft, stiff = soft + more, stiff + more
         moves, a = torch.empty_like(state.q), state.a
-        for left in reversed(range(self.least if near.lacking is None else self.sweeps)):
-            free = _plus_product(rest, near.coupling, a, sign=-1)
-            if near.lacking is not None:
-                free.addcmul_(near.lacking, a)
+        for left in reversed(range(self.sweeps)):
+            free = _plus_product(rest, near.coupling, a, sign=-1).addcmul_(near.lacking, a)
             total = free + drive
             w = (total - total.clamp(*dry)).div_(stiff)
             if self.clips:
@@ -964,7 +961,8 @@ class _Run:
             v.mul_(torch.ne(w, 0, out=moves))
             before, a = a, (v - state.v).div_(self.h)
             # Until the accelerations are those of this step.
-            if left and float((a - before).abs().max()) * self.h * self.h < _SETTLED:
+            change = self.settled and left and float((a - before).abs().max()) * self.h * self.h
+            if change < self.settled:
                 break
         return w, v, a
 
@@ -1011,7 +1009,8 @@ class _Run:
         if float(depth.max()) <= 0:
             return None
         force = k * depth - CONTACT_DAMPING * (slope * state.v).sum(0, keepdim=True)
-        force = torch.where(depth > 0, force, 0.0).clamp(min=0)
+        # A plane without stiffness is none: it does not damp, either.
+        force = torch.where((depth > 0) & (k > 0), force, 0.0).clamp(min=0)
         return slope * force, slope * slope * (CONTACT_DAMPING * (force > 0))
 
 
