@@ -24,10 +24,13 @@ import typer.main
 # nightly. An int is a float, as in PEP 484. Elsewhere torchid is as users have it: checks make
 # tests half as long again. Scalars are imported before: they are called a million times, and have
 # no shapes.
-import torchid.dynamics.scalars  # noqa: F401
+import torchid.dynamics.scalars
 
 CHECKED = os.environ.get("TORCHID_TYPES", "").split()
 if CHECKED:
+    # Compiled: nothing can be put around its functions.
+    import torchid.simulation.servo_kernel  # noqa: F401
+
     jaxtyping.install_import_hook(
         CHECKED, "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))"
     )

@@ -97,7 +97,8 @@ def test_servos_of_one_type_tell_each_other(found):
     k = known.names.index("kp")
     drawn = pooled(known, ["M1"] * 3, torch.ones(3, dtype=torch.bool))
     kp, was = drawn.servos.of("kp"), model.servos.of("kp")
-    assert abs(float(kp[0]) - 260) < 0.5 * abs(float(was[0]) - 260)
+    # The farthest from the truth is nearer; one that no load anchors may have been near by chance.
+    assert float((kp - 260).abs().max()) < 0.5 * float((was - 260).abs().max())
     assert bool((drawn.deviations()[:, k] <= known.deviations()[:, k] + 1e-12).all())
     low, high = value_interval("kp", float(kp[0]), float(drawn.deviations()[0, k]))
     assert low < 260 < high

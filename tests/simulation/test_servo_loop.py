@@ -1,20 +1,43 @@
 """Servo arms in a batch: MuJoCo's closed loop, closed forms, stiction that holds."""
 
+import json
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from functools import partial
 
+import numba
 import numpy as np
 import pytest
 import torch
 
 from tests.arms import arm
+from tests.documents import ROOT
+from tests.marks import some
 from tests.oracles import MujocoOracle
 from tests.simulation.bodies import flywheel
+from tests.trees import two_arms
+from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
+from torchid.effects.registry import nominal_effects
+from torchid.effects.spring import JointSpring, stumpff
+from torchid.robot.library import load_robot
 from torchid.robot.model import link_poses
-from torchid.simulation import servo_loop
+from torchid.simulation import servo_kernel
 from torchid.simulation.replay import replayed
 from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
-from torchid.simulation.servo_loop import Tracks, body_at, set_points, windows_of
+from torchid.simulation.servo_loop import (
+    Tracks,
+    Windows,
+    body_near,
+    compensation,
+    profile_step,
+    rollout,
+    set_points,
+    upwards,
+    windows_of,
+)
 
 DT = 0.02
 
@@ -194,15 +217,25 @@ def test_a_profile_accelerates_and_brakes_at_its_limit():
     assert bool((ended[7:] == 0.4).all())
 
 
-def test_set_points_of_some_rows_are_those_of_all():
-    tracks = sines(2, 1500, 2, seed=5)
-    limits = torch.tensor([[[1.0, 3.0, 1.0, 0.0]] * 2], dtype=torch.float64)
-    needed = torch.zeros(len(tracks.u), dtype=torch.bool)
-    needed[2100:2130] = True
-    every = set_points(limits, tracks, repeated=False)
-    some = set_points(limits, tracks, repeated=False, needed=needed)
-    assert torch.equal(every[..., needed], some[..., needed])
-    assert not torch.equal(every, some)
+def test_a_goal_that_is_faster_than_the_limit_is_chased_for_as_long_as_it_takes() -> None:
+    """Ten seconds at twice the speed: the set-point is left behind by half of the way."""
+    t = DT * torch.arange(501, dtype=torch.float64)
+    tracks = Tracks(2 * t[:, None], torch.tensor([0]), torch.tensor([500]), DT)
+    limits = torch.tensor([[[1.0, 50.0, 1.0, 0.0]]], dtype=torch.float64)
+    x = set_points(limits, tracks, repeated=False)[0, 0]
+    # A sample late, and 1 / 50 s to the speed, half of which is lost.
+    assert float((x[5:] - (t[5:] - DT - 0.01)).abs().max()) < 1e-9
+
+
+def test_a_step_of_a_set_point_is_that_of_simulators() -> None:
+    """Of numbers, in compiled code, as of tensors."""
+    g = torch.Generator().manual_seed(1)
+    e, v, a, top = (2 * torch.rand(4, 300, generator=g, dtype=torch.float64) - 1).unbind()
+    limits = 5 * a.abs() + 0.01, top.abs() + 0.01
+    expected = profile_step(e, v, *limits, DT)
+    given = (x.tolist() for x in (e, v, *limits))
+    one = [servo_kernel.profile_step(*numbers, DT) for numbers in zip(*given, strict=True)]
+    assert torch.allclose(torch.tensor(one).double(), torch.stack(expected, -1), atol=1e-12)
 
 
 def test_a_filter_is_late_by_its_time_constant():
@@ -241,38 +274,6 @@ def test_an_integrating_servo_leaves_no_error_and_remembers_its_sum():
     assert float((unknown - whole).abs().max()) > 5 * float((parts - whole).abs().max())
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_long_motion_in_pieces_is_the_motion_itself(seed, monkeypatch):
-    """Pieces that begin near a motion that is another one; a joint that is never told to move stays
-    where it began, not where it was measured."""
-    robot, tracks = arm("3r"), sines(3, 321, 2, seed=seed)
-    tracks.u[:, 1] = tracks.u[0, 1]
-    servos = drawn(3, seed)
-    begun = tracks.u[tracks.first], torch.zeros(2, 3).double(), windows_of(tracks, None)
-    other = torch.roll(tracks.u, 5, 0) + 0.02 * torch.sin(torch.arange(642.0))[:, None]
-
-    def whole(many: float) -> torch.Tensor:
-        monkeypatch.setattr(servo_loop, "PIECE_S", 0.5)
-        monkeypatch.setattr(servo_loop, "MANY", many)
-        q, dq, windows = begun
-        return replayed(robot, servos, tracks, windows, q, dq, measured=other)
-
-    runs = []
-    steps = servo_loop._side_by_side
-
-    def counted(*given: object) -> object:
-        runs.append(len(given[3].start))
-        return steps(*given)
-
-    monkeypatch.setattr(servo_loop, "_side_by_side", counted)
-    expected = whole(math.inf)
-    assert runs == [2]
-    assert float((whole(8) - expected).abs().max()) < 5e-6
-    # Far fewer steps one after the other than the motion has.
-    assert runs[1] == 26
-    assert len(runs) < 9
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_stop_holds(side):
@@ -307,16 +308,61 @@ def test_motion_changes_with_the_delay_without_a_jump():
     assert float(change.max()) < 1.5 * float(change.median())
 
 
-def test_slopes_of_heights_are_their_derivatives():
-    robot = arm("mixed")
-    q = torch.rand(5, robot.n, dtype=torch.float64)
-    here = body_at(robot, q, q, robot.n - 2)
-    for j in range(robot.n):
-        there, back = (
-            body_at(robot, q + step * torch.eye(robot.n)[j], q, robot.n - 2).height
-            for step in (1e-5, -1e-5)
+@pytest.fixture(scope="module", params=["3r", "mixed", "two_arms"])
+def tree(request, tmp_path_factory):
+    """A chain with springs, sliding joints, and branches of which one joint mimics another."""
+    if request.param == "two_arms":
+        return load_robot(str(two_arms(tmp_path_factory.mktemp("tree"))))
+    if request.param == "mixed":
+        return arm("mixed")
+    springs = ((1, 0.0), (2, 1.0), (3, -2.0))
+    records = ({"joint": j, "curvature": x, "k": 3.0, "c0": 0.5} for j, x in springs)
+    effects = tuple({"effect": "joint_spring", **record} for record in records)
+    robot = arm("3r")
+    return replace(robot, effects=effects, compensated=0.3 * robot.parameters.pi[:, :4])
+
+
+def test_the_body_is_that_of_the_recursion(tree):
+    """Mass matrix, bias, stiffness, heights and their slopes, beside dynamics that share no line
+    with them; what a robot's springs and what its servos do not feel are in it."""
+    n, link = tree.n, tree.n_links - 2
+    g = torch.Generator().manual_seed(2)
+    q, dq = 2 * torch.rand(2, 5, n, generator=g, dtype=torch.float64) - 1
+    body = body_near(tree, q, dq, link)
+    mass, stiffness, _, _, height, slope = body.rows.split([n * n, n * n, n, n, 4, 4 * n], 1)
+    slope = slope.unflatten(1, (n, 4))
+    assert torch.allclose(diagonals(mass), mass_matrix(tree, q), atol=1e-12)
+
+    def still(q: torch.Tensor) -> torch.Tensor:
+        out = gravity_torque(tree, q) - compensation(tree, q)
+        for effect, values in nominal_effects(tree):
+            if isinstance(effect, JointSpring):
+                c, s = stumpff(effect.curvature * q[:, effect.joint] ** 2)
+                out[:, effect.joint] += values[0] * q[:, effect.joint] * s + values[1] * c
+        return out
+
+    bias = bias_torque(tree, q, dq) - gravity_torque(tree, q) + still(q)
+    assert torch.allclose(body.bias, bias, atol=1e-12)
+    assert torch.allclose(height, heights(tree, q, link), atol=1e-12)
+    for j, step in enumerate(1e-5 * torch.eye(n, dtype=torch.float64)):
+        rises, turns = (
+            (of(q + step) - of(q - step)) / 2e-5
+            for of in (partial(heights, tree, link=link), still)
         )
-        assert torch.allclose(here.slope[:, j], (there - back) / 2e-5, atol=1e-9)
+        assert torch.allclose(slope[:, j], rises, atol=1e-8)
+        assert torch.allclose(diagonals(stiffness)[..., j], turns, atol=1e-4)
+
+
+def diagonals(rows: torch.Tensor) -> torch.Tensor:
+    """Matrices (T, n, n) from their cyclic diagonals."""
+    n = math.isqrt(rows.shape[1])
+    i = torch.arange(n)
+    return rows.unflatten(1, (n, n))[:, (i - i[:, None]) % n, i[:, None]]
+
+
+def heights(robot, q: torch.Tensor, link: int) -> torch.Tensor:
+    """(T, 4) of a homogeneous point of the link."""
+    return upwards(robot) @ link_poses(robot, q)[:, link, :3]
 
 
 @pytest.mark.nightly
@@ -363,7 +409,47 @@ def test_sets_in_a_batch_do_not_disturb_each_other():
         one = whole.some(torch.tensor([k]))
         alone = replayed(robot, servos, tracks, one, q[k : k + 1], torch.zeros(1, 3).double())
         rows = slice(int(tracks.first[k]), int(tracks.last[k]) + 1)
-        assert torch.allclose(together[rows], alone[rows], atol=2e-5)
+        assert torch.equal(together[rows], alone[rows])
+
+
+def all_kinds(n: int, sets: int, seed: int) -> Servos:
+    """Sets of which each has another effect, and every third so little inertia of its own that
+    coupling outweighs it; one in six touches a plane."""
+    each = [drawn(n, seed + k) for k in range(sets)]
+    joint = torch.stack([servos.joint for servos in each])
+    kinds = (
+        {"dead_zone": 0.01}, {"stiction": 2.0, "stribeck_speed": 0.1}, {"motor_share": 0.2},
+        {"load_share": 0.1}, {"acceleration": 3.0}, {"lag": 0.05}, {"stop_high": 0.3},
+        {"armature": 5.0, "integral": 0.0},
+    )  # fmt: skip
+    joint[::3, :, INDEX["armature"]] = 1e-3
+    for k in range(sets):
+        for name, value in kinds[k % len(kinds)].items():
+            joint[k, :, INDEX[name]] = value
+    plane = torch.zeros(sets, 5, dtype=torch.float64)
+    plane[::6, 3:] = torch.tensor([0.3, 500.0], dtype=torch.float64)
+    return Servos(joint, plane)
+
+
+@pytest.mark.parametrize("seed", some(range(8), slow=0, quick=1))
+def test_an_answer_hangs_on_nothing_that_is_simulated_beside_it(seed: int) -> None:
+    """A set alone is what it is among 24 others, and a window alone what it is among others."""
+    robot, tracks = arm("kuka_lwr4"), sines(7, 60, 2, seed=seed)
+    servos, windows = all_kinds(7, 25, seed), windows_of(tracks, 0.4)
+    q, dq = tracks.u, torch.zeros_like(tracks.u)
+    body = body_near(robot, q, dq, 6).midway(tracks.last)
+
+    def run(sets: Servos, some: Windows) -> torch.Tensor:
+        return rollout(sets, body, tracks, some, q[some.start], dq[some.start], measured=q)
+
+    together = run(servos, windows).nan_to_num(9.0)
+    for k in range(0, 25, 1 if seed else 4):
+        one = replace(servos, joint=servos.joint[k, None], plane=servos.plane[k, None])
+        alone = run(one, windows).nan_to_num(9.0)
+        assert torch.allclose(alone[..., 0], together[..., k], rtol=0, atol=1e-12), k
+    for w in range(len(windows.start)):
+        alone = run(servos, windows.some(torch.tensor([w])))
+        assert torch.allclose(alone[:, 0], together[: len(alone), w], rtol=0, atol=1e-12), w
 
 
 def test_servos_survive_their_record():
@@ -383,3 +469,37 @@ def test_between_motions_no_command_jumps() -> None:
     u = torch.cat([slow, apart, stepped])[:, None]
     tracks = Tracks(u, torch.tensor([0, 100, 200]), torch.tensor([99, 199, 299]), 0.02)
     assert tracks.jumping.nonzero().flatten().tolist() == [250]
+
+
+def resting_on_all() -> list[list[float]]:
+    """Positions of an arm whose servos have every effect, after some samples."""
+    robot, tracks = arm("3r"), sines(3, 6, 1, seed=2)
+    servos = all_kinds(3, 25, 1)
+    joint = torch.where(servos.joint.isfinite(), servos.joint, math.inf).amin(0)
+    one = Servos(joint.nan_to_num(posinf=100.0), servos.plane[0], link=2)
+    q = tracks.u[tracks.first]
+    return replayed(
+        robot, one, tracks, windows_of(tracks, None), q, 0 * q, measured=tracks.u
+    ).tolist()
+
+
+@pytest.mark.slow
+def test_compiled_code_does_what_is_written() -> None:
+    """The same file as Python, in a process of its own."""
+    code = "from tests.simulation.test_servo_loop import resting_on_all; print(resting_on_all())"
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    told = subprocess.check_output([sys.executable, "-c", code], cwd=ROOT, env=environment)
+    both = (torch.tensor(x).double() for x in (json.loads(told), resting_on_all()))
+    assert torch.allclose(*both, rtol=0, atol=1e-12)
+
+
+def test_code_is_compiled_where_nothing_can_be_kept(monkeypatch) -> None:
+    compiled = numba.njit
+
+    def refusing(*given: object, cache: bool = False, **options: object) -> object:
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return compiled(*given, **options)
+
+    monkeypatch.setattr(numba, "njit", refusing)
+    assert servo_kernel._compiled(lambda x: 2 * x)(3.0) == 6.0

@@ -66,14 +66,6 @@ def bias_torque(
     )
 
 
-def mass_and_bias(
-    robot: Robot, q: BroadcastJoints, dq: BroadcastJoints
-) -> tuple[JointMatrix, Joints]:
-    """M(q) and S(q, dq) dq + g(q), which have most of their work in common."""
-    posture = _posture(robot, torch.broadcast_tensors(q, dq)[0], None, SMALL_BATCH)
-    return posture.mass_matrix(), posture.torque(dq)
-
-
 def gravity_torque(
     robot: Robot, q: BroadcastJoints, parameters: InertialParameters | None = None
 ) -> Joints:

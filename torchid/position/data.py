@@ -75,7 +75,7 @@ class PositionData:
         strength: (n,) torques of each joint beside those of a small servo, where a fit starts [1].
         link: whose points may touch a plane, counted from 0.
         damping_share: (n,) of servos that are sought: how much of the damping their clip limits.
-        set_points: those found last, beside the profiles and the rows that they are of.
+        set_points: those found last, beside the profiles that they are of.
     """
 
     robot: Robot
@@ -90,7 +90,7 @@ class PositionData:
     strength: Float[Tensor, " n"]
     link: int
     damping_share: Float[Tensor, " n"]
-    set_points: dict[bool, tuple[Tensor, Tensor, Tensor]] = field(default_factory=dict, repr=False)
+    set_points: dict[bool, tuple[Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
     @property
     def slices(self) -> list[slice]:

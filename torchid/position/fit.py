@@ -5,7 +5,6 @@ position is small beside what it does to its own, and only the speed of converge
 Every joint has its own damped step; of several dampings the best is kept by simulation.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -115,29 +114,20 @@ def moved(servos: Servos, coordinates: Tensor) -> Servos:
 def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor, "L W n P"]:
     """Simulated minus measured positions [rad]; 0 after a window's end."""
     profiles, owner = profiles_of(servos).unique(dim=0, return_inverse=True)
-    needed = _needed(data, servos, windows)
     # Most steps of a fit leave the profiles as they are.
     known = data.set_points.get(servos.repeated)
-    if (
-        known is None
-        or known[0].shape != profiles.shape
-        or not torch.equal(known[0], profiles)
-        or bool((needed & ~known[1]).any())
-    ):
-        found = set_points(profiles, data.tracks, repeated=servos.repeated, needed=needed)
-        known = profiles, needed, found
+    if known is None or known[0].shape != profiles.shape or not torch.equal(known[0], profiles):
+        known = profiles, set_points(profiles, data.tracks, repeated=servos.repeated)
         data.set_points[servos.repeated] = known
-    each = servos.joint.ndim == 4
-    # Single precision errs by less than a thousandth of a count, in half of the time.
     q = rollout(
         servos,
-        data.body.single,
+        data.body,
         data.tracks,
         windows,
-        *(x.float() for x in data.start(windows)),
-        points=known[2],
+        *data.start(windows),
+        points=known[1],
         measured=data.q,
-        owner=owner.reshape(-1, 1, 1) if each else owner,
+        owner=owner,
     )
     rows = windows.start + torch.arange(len(q))[:, None]
     measured = data.q[rows.clamp(max=len(data.q) - 1)]
@@ -148,20 +138,6 @@ def errors_of_one(data: PositionData, servos: Servos, windows: Windows) -> Float
     """Errors of one set of servos alone."""
     one = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
     return errors(data, one, windows)[..., 0]
-
-
-def _needed(data: PositionData, servos: Servos, windows: Windows) -> Bool[Tensor, " T"]:
-    """Rows whose set-points windows need: their own, and as many before as delays reach back; all
-    where a servo sums errors up."""
-    rows = len(data.q)
-    if bool((servos.of("integral") > 0).any()):
-        return torch.ones(rows, dtype=torch.bool)
-    back = math.ceil(float(servos.of("delay").amax()) / data.tracks.dt) + 2
-    ends = torch.zeros(rows + 1, dtype=torch.long)
-    begin = (windows.start - back).clamp(min=0)
-    ends.index_add_(0, begin, torch.ones_like(begin))
-    ends.index_add_(0, windows.start + windows.length, -torch.ones_like(begin))
-    return ends.cumsum(0)[:-1] > 0
 
 
 def loss(error: Tensor, windows: Windows) -> Tensor:

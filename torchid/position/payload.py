@@ -91,14 +91,11 @@ class _Load:
 
     def carrying(self, x: Float[Tensor, "4"]) -> PositionData:
         """The motions with a load of mass and first moments x about the point, in those rows."""
-        changed = {}
-        for name in ("bias", "stiffness", "inertia", "coupling", "dominance"):
-            now, plain = (getattr(body, name) for body in (self.data.body, self.plain))
-            pairs = zip(x.tolist(), self.per, strict=True)
-            change = sum(size * (getattr(body, name) - plain) for size, body in pairs)
-            changed[name] = now.clone()
-            changed[name][self.rows] = plain + change
-        return replace(self.data, body=replace(self.data.body, **changed))
+        rows = self.data.body.rows.clone()
+        pairs = zip(x.tolist(), self.per, strict=True)
+        change = sum(size * (body.rows - self.plain.rows) for size, body in pairs)
+        rows[self.rows] = self.plain.rows + change
+        return replace(self.data, body=replace(self.data.body, rows=rows))
 
     def stronger(self, servos: Servos, x: Tensor, there: Tensor) -> Servos:
         """Servos for another load: their torques change as gravity's do, since it is mostly these

@@ -88,7 +88,8 @@ class Replay(Result):
 
 
 def replay(arm: ServoArm | str | Path, logs: LogLike, *, windows: float | None = None) -> Replay:
-    """Where the arm would have gone with the commands of logs.
+    """Where the arm would have gone with the commands of logs: on the CPU, in float64, and not
+    differentiable.
 
     Args:
         arm: the model: `corrected` of a diagnosis of positions, or the file that it was written to.

@@ -248,7 +248,7 @@ def _scanned(
 
 def _with_plane(motions: Motions, model: ServoModel) -> ServoModel:
     """A plane that a point in front of the link touches."""
-    if motions.data.body.height is None or motions.data.robot.parameters is None:
+    if motions.data.robot.parameters is None:
         return model
     point = motions.data.outwards
     height = motions.data.body.height @ torch.cat([point, point.new_ones(1)])

@@ -4,14 +4,13 @@ Nothing of the measured motion is used but the starts, and what led to them.
 """
 
 from dataclasses import replace
-from functools import partial
 
 from torch import Tensor
 
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.simulation.servo import Servos
-from torchid.simulation.servo_loop import STEP, Tracks, Windows, body_at, rollout
+from torchid.simulation.servo_loop import STEP, Tracks, Windows, rollout
 from torchid.typing import Float
 
 FARTHEST = 50.0
@@ -29,7 +28,7 @@ def replayed(
     measured: Float[Tensor, "T n"] | None = None,
     longest_step: float = STEP,
 ) -> Float[Tensor, "T n"]:
-    """Positions (T, n) at all rows of the tracks, which the windows cover [rad].
+    """Positions (T, n) at all rows of the tracks, which the windows cover [rad]; without gradients.
 
     Args:
         robot: with inertial parameters.
@@ -47,10 +46,8 @@ def replayed(
     batch = servos
     if servos.joint.ndim == 2:
         batch = replace(servos, joint=servos.joint[None], plane=servos.plane[None])
-    link = servos.link % robot.n if bool((servos.plane[..., 4] > 0).any()) else None
-    body = partial(body_at, robot, link=link)
     out = rollout(
-        batch, body, tracks, windows, q, dq, measured=measured, longest_step=longest_step
+        batch, robot, tracks, windows, q, dq, measured=measured, longest_step=longest_step
     )[..., 0]
     motion = windows.on_rows(out, tracks.u.clone())
     if not bool((motion.abs() < FARTHEST).all()):
