@@ -45,8 +45,19 @@ def written(file, rows):
 
 def test_names_are_text_in_natural_order(tmp_path) -> None:
     big = "9007199254740993"
-    rows = [("10", "1"), ("2", "1"), ("007", "1.10"), ("1e5", "a"), ("100000", "a"), ("7", "1.1"),
-            (big, "1"), ("9007199254740992", "1"), ("7", "1.10"), ("NA", "nan"), ("1.0", "-")]  # fmt: skip
+    rows = [
+        ("10", "1"),
+        ("2", "1"),
+        ("007", "1.10"),
+        ("1e5", "a"),
+        ("100000", "a"),
+        ("7", "1.1"),
+        (big, "1"),
+        ("9007199254740992", "1"),
+        ("7", "1.10"),
+        ("NA", "nan"),
+        ("1.0", "-"),
+    ]
     found = read_manifest(written(tmp_path / "fleet.csv", rows))
     assert {(log.unit, log.session) for log in found} == set(rows)
     units = list(dict.fromkeys(log.unit for log in found))
@@ -82,7 +93,7 @@ def test_distinct_text_stays_distinct(tmp_path_factory, rows) -> None:
 def test_a_manifest_in_another_encoding(tmp_path, encoding) -> None:
     file = tmp_path / "fleet.csv"
     file.write_bytes("log,unit\nx.csv,\xe9\n".encode(encoding))
-    with pytest.raises(TorchidError, match="fleet.csv' is not a csv file"):
+    with pytest.raises(TorchidError, match=r"fleet\.csv' is not a csv file"):
         read_manifest(file)
 
 

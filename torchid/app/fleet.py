@@ -82,11 +82,14 @@ class Engine(opt.Crew):
                 "what several machines compute needs a place that all of them see.",
                 expected="--store DIR|URL, or --out DIR",
             )
+        store = Store(place) if place else None
+        if store is not None and self.store:
+            _ = "" in store  # it is there, or can be made
         logs = logs_of(units.logs or (), units.manifest)
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
         model = FleetModel(robot, settings, units.request(robot), gains)
-        return model, logs, crew, Store(place) if place else None
+        return model, logs, crew, store
 
 
 _Hertz = Annotated[float, typer.Option(metavar="HZ")]

@@ -73,7 +73,7 @@ def check_log(
     if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
         raise ValueError(f"prismatic and position_limits must have {n} entries")
     check_joints(log, robot_name, n, moving_base)
-    _check_finite(log)
+    check_finite(log)
     check_increasing(log)
     first = COORDINATES if moving_base else 0
     forced = []
@@ -123,7 +123,10 @@ def _check_units(log: Log, limits: Tensor | None, slides: Sequence[bool], first:
     _check_velocity_unit(log, slides)
 
 
-def _check_finite(log: Log) -> None:
+def check_finite(log: Log, *, commands: bool = True) -> None:
+    """Refuse a log with empty cells, NaN or infinity in its columns; those of commands count only
+    where asked for, for a command that is not there was not sent."""
+    log = log if commands or log.u is None else log.replace(u=None)
     bad = {name: ~np.isfinite(column) for name, column in columns_of(log).items()}
     wrong = {name: mask for name, mask in bad.items() if mask.any()}
     if not wrong:
