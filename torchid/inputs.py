@@ -27,8 +27,8 @@ def as_log(log: LogLike, robot: Robot | None = None, *, usable: bool = True) -> 
         LogError, MissingExtraError: as `read_log`; NaN, infinity, or time that does not increase.
     """
     if not isinstance(log, Log):
-        known = {} if robot is None else {"joints": robot.driven_names, "spare": robot.spare}
-        log = read_log(log, **known)
+        joints, spare = ((), ()) if robot is None else (robot.driven_names, robot.spare)
+        log = read_log(log, joints=joints, spare=spare)
     if usable:
         check_finite(log, commands=False)
         check_increasing(log)

@@ -1,6 +1,6 @@
 """Logs from files, folders and tables in memory, and to files.
 
-Read: .parquet, .csv, .npz, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE.
+Read: .parquet, .csv, .npz, .json, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE.
 Columns that have the names of `torchid.log.columns` are found by themselves; others by a mapping
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
@@ -34,11 +34,12 @@ from torchid.log.formats import (
     write_parquet,
 )
 from torchid.log.hdf5 import hdf5_table, matlab_table
-from torchid.log.json_lines import json_lines_table
+from torchid.log.json_lines import json_lines_table, json_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.ros import bag_table, is_bag_folder
 from torchid.log.sage import is_sage, sage_table
+from torchid.log.side_files import with_side_files
 from torchid.log.table import AbsentColumnError, Request, Table
 
 Opener = Callable[[Path, Request], Table]
@@ -196,6 +197,10 @@ def open_log(
     found = require_log(path)
     try:
         table = _table(found, path, request)
+        if request.columns is not None:
+            table = with_side_files(
+                table, request.columns, lambda file: _table(csv_table, file, request)
+            )
         request = fitting_request(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
@@ -218,6 +223,10 @@ def require_header(path: Path, request: Request) -> None:
     opener = require_log(path)
     if opener is csv_table or opener is parquet_table:
         table = _table(opener, path, request)
+        if request.columns is not None:
+            table = with_side_files(
+                table, request.columns, lambda file: _table(csv_table, file, request)
+            )
         require_columns(table, fitting_request(table, request).columns)
 
 
@@ -343,14 +352,14 @@ def _inside(folder: Path) -> list[str] | None:
 
 
 def is_log(path: Path) -> bool:
-    """Whether it looks like a log by its name; most texts are none."""
+    """Whether it looks like a log by its name; most texts are none, nor most JSON."""
     if path.is_dir():
         return any(fits(path) for fits, _ in _FOLDERS)
-    return path.suffix.lower() in set(_TABLES) - {".txt", ".dat"}
+    return path.suffix.lower() in set(_TABLES) - {".txt", ".dat", ".json"}
 
 
 _CONVERT = dict.fromkeys(
-    (".ipynb", ".pkl", ".pickle", ".npy", ".pt", ".json", ".xlsx"),
+    (".ipynb", ".pkl", ".pickle", ".npy", ".pt", ".xlsx"),
     "write it as columns t, q1.., tau1..; in Python: DataFrame(..).to_csv('run.csv', index=False)",
 )
 """What to do with files that people have their logs in, and that no reader is for."""
@@ -364,6 +373,7 @@ _TABLES: dict[str, Opener] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), csv_table),
     ".npz": npz_table,
     **dict.fromkeys((".jsonl", ".ndjson"), json_lines_table),
+    ".json": json_table,
     ".mat": matlab_table,
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), hdf5_table),
     **dict.fromkeys((".bag", ".mcap", ".db3"), bag_table),
