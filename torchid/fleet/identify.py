@@ -342,7 +342,8 @@ def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -
         for a in answers
     ]  # fmt: skip
     files, place = fsspec.url_to_fs(store.place)
-    pa.parquet.write_table(pa.Table.from_pylist(rows), f"{place}/{name}", filesystem=files)
+    table, file = pa.Table.from_pylist(rows), f"{place}/{name}"
+    pa.parquet.write_table(table, file, filesystem=files, write_page_checksum=True)
 
 
 def _notes(

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet
 
 from torchid.errors import TorchidError
+from torchid.log.formats import open_parquet
 from torchid.log.readers import guarded, is_log
 from torchid.log.table import natural
 from torchid.parallel.store import is_url
@@ -124,7 +124,7 @@ def _csv_columns(file: Path) -> dict[str, list[str]]:
 
 def _parquet_columns(file: Path) -> dict[str, list[str]]:
     """Cells by column as text: whole numbers with all their digits."""
-    with pa.parquet.ParquetFile(file) as opened:
+    with open_parquet(file) as opened:
         table = opened.read([n for n in opened.schema_arrow.names if n in COLUMNS])
     return {n: table[n].cast(pa.string()).fill_null("").to_pylist() for n in table.column_names}
 
