@@ -144,7 +144,7 @@ class Table:
                 for i, item in enumerate(every.items())
                 if (places and i % places == slot)
                 or (more and i % more == 0)
-                or (kind == "log" and item[0] in _EVERYWHERE)
+                or (item[0] in _EVERYWHERE and " ".join(name) not in _QUIET)
             ]
             for text, path in chosen:
                 broken = path.name.startswith("no_")

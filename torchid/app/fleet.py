@@ -73,7 +73,7 @@ class Engine(opt.Crew):
         for this run only."""
         from torchid.fleet.manifest import logs_of
         from torchid.fleet.model import FleetModel
-        from torchid.parallel.store import Store
+        from torchid.parallel.store import Store, is_url
 
         crew = self.crew
         place = self.store or (output.out and str(output.out / "store"))
@@ -83,8 +83,8 @@ class Engine(opt.Crew):
                 expected="--store DIR|URL, or --out DIR",
             )
         store = Store(place) if place else None
-        if store is not None and self.store:
-            _ = "" in store  # it is there, or can be made
+        if store is not None and is_url(store.place):
+            _ = "" in store  # there is such a protocol
         logs = logs_of(units.logs or (), units.manifest)
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))

@@ -63,6 +63,7 @@ def init(
         "out": out,
     }
     output.put(save, lambda path: write_text(path, project_text(entries)))
+    output.finish()  # it is read below
     read(save)
     output.say("next: torchid log show, torchid log doctor, torchid identify, torchid gap")
 
