@@ -218,9 +218,9 @@ class Output:
                 *([f"the answer so far is in {', '.join(files)}"] if files else [])
             ) from stop
 
-    def write_json(self, data: Mapping[str, Any], name: str) -> None:
-        """To --json and to DIR/name, whichever were given."""
-        own = self.out and self.out / name
+    def write_json(self, data: Mapping[str, Any], name: str | None) -> None:
+        """To --json and to DIR/name, whichever were given; without a name to --json alone."""
+        own = None if self.out is None or name is None else self.out / name
         self.answers.update(
             Path(os.path.realpath(p)) for p in (self.json_file, own) if p is not None
         )
