@@ -196,11 +196,7 @@ def open_log(
         return None, path
     found = require_log(path)
     try:
-        table = _table(found, path, request)
-        if request.columns is not None:
-            table = with_side_files(
-                table, request.columns, lambda file: _table(csv_table, file, request)
-            )
+        table = _joined(found, path, request)
         request = fitting_request(table, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
@@ -222,11 +218,7 @@ def require_header(path: Path, request: Request) -> None:
     """
     opener = require_log(path)
     if opener is csv_table or opener is parquet_table:
-        table = _table(opener, path, request)
-        if request.columns is not None:
-            table = with_side_files(
-                table, request.columns, lambda file: _table(csv_table, file, request)
-            )
+        table = _joined(opener, path, request)
         require_columns(table, fitting_request(table, request).columns)
 
 
@@ -304,6 +296,14 @@ def require_log(path: Path) -> Opener:
     if path.stat().st_size == 0:
         raise LogError(f"'{path}' is empty.", expected="t, q1.. and tau1.., row by row")
     return _TABLES[suffix]
+
+
+def _joined(opener: Opener, path: Path, request: Request) -> Table:
+    """What a file holds, with the files beside it that the mapping names."""
+    table = _table(opener, path, request)
+    if request.columns is None:
+        return table
+    return with_side_files(table, request.columns, lambda f: _table(csv_table, f, request))
 
 
 def _table(opener: Opener, path: Path, request: Request) -> Table:

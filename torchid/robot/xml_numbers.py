@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import torch
@@ -50,7 +51,7 @@ def content_of(path: Path) -> bytes:
             f"'{path}' is a xacro file: a program, which torchid does not run.",
             got=macro,
             expected="a URDF",
-            hint=f"expand it where you trust it: xacro {path} > {plain}",
+            hint=f"expand it where you trust it: xacro {quote(str(path))} > {quote(str(plain))}",
         )
     return content
 
