@@ -1,11 +1,20 @@
 import os
 import stat
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from torchid.errors import TorchidError
-from torchid.files import atomic_write
+from torchid.files import (
+    Staged,
+    atomic_write,
+    discard,
+    probe,
+    put_in_place,
+    staged,
+    write_text,
+)
 
 
 def test_writes_text_and_bytes(tmp_path: Path) -> None:
@@ -113,3 +122,79 @@ def test_links_are_followed_and_permissions_kept(tmp_path: Path) -> None:
 def test_mode_is_checked(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="mode"), atomic_write(tmp_path / "a", "a"):
         pass
+
+
+def test_two_processes_probe_one_folder(tmp_path: Path, monkeypatch) -> None:
+    """Each by a name of its own, which the other does not remove."""
+    names = []
+    touch = Path.touch
+
+    def seen(path: Path, *more: object) -> None:
+        names.append(path.name)
+        touch(path)
+
+    monkeypatch.setattr(Path, "touch", seen)
+    for _ in range(2):
+        probe(tmp_path)
+    assert len(set(names)) == 2
+    assert not os.listdir(tmp_path)
+
+
+SET = ("gap.json", "which.png", "model.yaml", "sub.json")
+
+
+def write_set(folder: Path, text: str) -> Staged:
+    files: Staged = []
+    with staged(files):
+        for name in SET:
+            write_text(folder / name, text)
+    return files
+
+
+def held(folder: Path) -> dict[str, str]:
+    return {p.name: p.read_text() for p in folder.iterdir() if not p.name.startswith(".torchid-")}
+
+
+def test_a_set_has_its_names_at_once_or_not_at_all(tmp_path: Path) -> None:
+    files = write_set(tmp_path, "old")
+    assert held(tmp_path) == {}
+    discard(files)
+    assert not os.listdir(tmp_path)
+    put_in_place(write_set(tmp_path, "old"))
+    assert held(tmp_path) == dict.fromkeys(SET, "old")
+    write_text(tmp_path / "stale.png", "old")
+    put_in_place(write_set(tmp_path, "new"), [tmp_path / "stale.png"])
+    assert held(tmp_path) == dict.fromkeys(SET, "new")
+
+
+@pytest.mark.parametrize("after", range(9))
+@pytest.mark.parametrize("earlier", [False, True])
+def test_whoever_finds_the_json_has_the_whole_set(
+    tmp_path: Path, monkeypatch, earlier: bool, after: int
+) -> None:
+    """Stopped behind so many changes of the folder, as by SIGKILL."""
+    if earlier:
+        put_in_place(write_set(tmp_path, "old"))
+    files = write_set(tmp_path, "new")
+    left = iter(range(after))
+
+    def stops(function):
+        def counted(*given: object, **more: object) -> None:
+            if next(left, None) is None:
+                raise SystemExit
+            function(*given, **more)
+
+        return counted
+
+    monkeypatch.setattr(os, "replace", stops(os.replace))
+    monkeypatch.setattr(Path, "unlink", stops(Path.unlink))
+    with suppress(SystemExit):
+        put_in_place(files)
+    found = held(tmp_path)
+    for name in ("gap.json", "sub.json"):
+        if found.get(name) == "new":
+            assert (found["which.png"], found["model.yaml"]) == ("new", "new")
+    if "gap.json" in found:
+        others = {found[name] for name in SET if name != "sub.json"}
+        assert len(others) == 1, found
+    assert after < 6 or found == dict.fromkeys(SET, "new")

@@ -13,6 +13,9 @@ from torchid.errors import TorchidError
 
 _MODES = ("w", "wb")
 _INPUTS: ContextVar[list[Path] | None] = ContextVar("inputs", default=None)
+Staged = list[tuple[Path, Path]]
+"""Files that are written whole, and where they will be."""
+_STAGED: ContextVar[Staged | None] = ContextVar("staged", default=None)
 
 
 @contextmanager
@@ -144,12 +147,13 @@ def remove_empty(folders: Iterable[Path]) -> None:
 
 
 def probe(folder: Path) -> None:
-    """A file really written and removed: permission bits say nothing to root or of a full disk.
+    """A file really written and removed: permission bits say nothing to root or of a full disk. Its
+    name is no other process's.
 
     Raises:
         TorchidError: it cannot be.
     """
-    file = folder / ".torchid-write-test"
+    file = _temporary(folder)
     try:
         file.touch()
         file.unlink()
@@ -157,6 +161,51 @@ def probe(folder: Path) -> None:
         raise TorchidError(
             f"the folder '{folder}' cannot be written: {error.strerror or error}."
         ) from error
+
+
+@contextmanager
+def staged(files: Staged) -> Iterator[None]:
+    """While it lasts, `atomic_write` leaves what it has written under a temporary name, and adds it
+    to these files; `put_in_place` gives all of them their names."""
+    token = _STAGED.set(files)
+    try:
+        yield
+    finally:
+        _STAGED.reset(token)
+
+
+def put_in_place(files: Staged, stale: Iterable[Path] = ()) -> None:
+    """Rename files that belong together, in their order, but JSON last.
+
+    A JSON that stands in the place of one of them is removed before: whoever finds one has the
+    whole set, even where this is stopped half-way.
+
+    Args:
+        files: from `staged`.
+        stale: files of an earlier set that have no successor.
+
+    Raises:
+        TorchidError: a file cannot be renamed.
+    """
+    answers = [pair for pair in files if pair[1].suffix == ".json"]
+    others = [pair for pair in files if pair not in answers]
+    try:
+        for old in [target for _, target in answers] * (len(files) > 1) + [*stale]:
+            old.unlink(missing_ok=True)
+        for temporary, target in (*others, *answers):
+            os.replace(temporary, target)
+    except OSError as error:
+        discard(files)
+        raise TorchidError(
+            f"'{error.filename2 or error.filename}' cannot be written: {error.strerror}."
+        ) from error
+
+
+def discard(files: Staged) -> None:
+    """Remove files that are not in their place."""
+    for temporary, _ in files:
+        with suppress(OSError):
+            temporary.unlink()
 
 
 @contextmanager
@@ -186,7 +235,7 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
             return
         target = Path(os.path.realpath(path))
         _check_target(path, target)
-        temporary = target.parent / f".torchid-{secrets.token_hex(6)}.tmp"
+        temporary = _temporary(target.parent)
         try:
             with _open(temporary, mode.replace("w", "x")) as file:
                 yield file
@@ -194,7 +243,12 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
                 os.fsync(file.fileno())
             if target.exists():
                 os.chmod(temporary, target.stat().st_mode & 0o7777)
-            os.replace(temporary, target)
+            if (files := _STAGED.get()) is None:
+                os.replace(temporary, target)
+            else:
+                discard([pair for pair in files if pair[1] == target])
+                files[:] = [pair for pair in files if pair[1] != target]
+                files.append((temporary, target))
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()
@@ -216,6 +270,10 @@ def write_text(path: str | Path, text: str) -> None:
     """
     with atomic_write(path) as file:
         file.write(text)
+
+
+def _temporary(folder: Path) -> Path:
+    return folder / f".torchid-{secrets.token_hex(6)}.tmp"
 
 
 def _open(path: Path, mode: str) -> IO[Any]:

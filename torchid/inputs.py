@@ -4,22 +4,32 @@ What stands for a robot is `torchid.robot.library.as_robot`'s, and for a log wit
 `torchid.read_log`'s.
 """
 
+from torchid.log.checks import check_finite
 from torchid.log.model import Log
 from torchid.log.readers import LogLike, read_log
+from torchid.log.stamps import check_increasing
 from torchid.robot.library import as_robot
 from torchid.robot.model import Robot, RobotLike
 
 __all__ = ["LogLike", "RobotLike", "as_log", "as_robot"]
 
 
-def as_log(log: LogLike, robot: Robot | None = None) -> Log:
+def as_log(log: LogLike, robot: Robot | None = None, *, usable: bool = True) -> Log:
     """A log as it is, or of whatever `read_log` takes, its joints in the order of the robot.
 
+    Args:
+        log: what stands for one.
+        robot: that it is of, where that is known.
+        usable: whether it must be finite, but for commands, and in the order of time; the doctor
+            says so itself.
+
     Raises:
-        LogError, MissingExtraError: as `read_log`.
+        LogError, MissingExtraError: as `read_log`; NaN, infinity, or time that does not increase.
     """
-    if isinstance(log, Log):
-        return log
-    if robot is None:
-        return read_log(log)
-    return read_log(log, joints=robot.driven_names, spare=robot.spare)
+    if not isinstance(log, Log):
+        joints, spare = ((), ()) if robot is None else (robot.driven_names, robot.spare)
+        log = read_log(log, joints=joints, spare=spare)
+    if usable:
+        check_finite(log, commands=False)
+        check_increasing(log)
+    return log

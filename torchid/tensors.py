@@ -8,6 +8,9 @@ import torch
 from torchid.errors import TorchidError
 from torchid.typing import Numbers, Tensor
 
+MOST = 100_000
+"""Draws that can be asked for."""
+
 
 def as_tensor(values: Any, what: str, error: type[TorchidError] = TorchidError) -> Tensor:
     """A floating tensor of what a user gives.
@@ -48,6 +51,13 @@ def _floats(array: np.ndarray) -> np.ndarray:
     return array.astype(np.float64)
 
 
+def require_count(count: object, what: str, least: int = 1) -> None:
+    """Raise TorchidError unless this is a whole number, and no larger than anybody can use."""
+    if type(count) is not int or not least <= count <= MOST:
+        wanted = f"a whole number, {least} to {MOST}"
+        raise TorchidError(f"so many {what} cannot be drawn.", got=[count], expected=wanted)
+
+
 def usable_device(name: str) -> str:
     """A device that exists and has float64.
 
@@ -73,7 +83,7 @@ def joint_signals(n: int, **signals: Numbers) -> list[Tensor]:
         signals: by name; (..., n) each.
 
     Raises:
-        TorchidError: no numbers, or not one column a joint.
+        TorchidError: no numbers, not one column a joint, or lengths that do not go together.
     """
     tensors = {name: as_tensor(values, name) for name, values in signals.items()}
     for name, tensor in tensors.items():
@@ -83,6 +93,14 @@ def joint_signals(n: int, **signals: Numbers) -> list[Tensor]:
                 got=f"shape {tuple(tensor.shape)}",
                 expected=f"(..., {n})",
             )
+    try:
+        torch.broadcast_shapes(*(tensor.shape for tensor in tensors.values()))
+    except RuntimeError as error:
+        raise TorchidError(
+            f"{', '.join(tensors)} do not go together.",
+            got=f"shapes {', '.join(str(tuple(tensor.shape)) for tensor in tensors.values())}",
+            expected=f"as many samples of each, or one: (..., {n})",
+        ) from error
     dtype = torch.float32
     for tensor in tensors.values():
         dtype = torch.promote_types(dtype, tensor.dtype)

@@ -4,11 +4,21 @@ from typing import Any
 
 import yaml
 
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
 DEEPEST = 100
 """Lists and mappings inside of each other: libyaml takes some ten thousand, and then ends the
 process."""
+
+MOST_MERGED = 10_000
+"""Keys that merges (<<) may make of a mapping: each of a chain of them multiplies their number."""
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Merge what a mapping merges, which yaml does a level at a time."""
+        own = len(node.value)
+        super().flatten_mapping(node)
+        if len(node.value) > max(own, MOST_MERGED):
+            raise yaml.YAMLError(f"merges (<<) make more than {MOST_MERGED} keys")
 
 
 def parsed_yaml(text: str) -> Any:
@@ -19,9 +29,9 @@ def parsed_yaml(text: str) -> Any:
         yaml.YAMLError: no yaml.
     """
     depth = 0
-    for event in yaml.parse(text, Loader=_LOADER):
+    for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > DEEPEST:
             raise RecursionError("nested too deeply")
-    return yaml.load(text, Loader=_LOADER)
+    return yaml.load(text, Loader=_Loader)

@@ -137,6 +137,24 @@ def test_ctrl_c_keeps_the_answer_that_stood(command, runs, tmp_path, monkeypatch
     assert "So far" in done.out
 
 
+def test_ctrl_c_writes_over_no_whole_answer(command, runs, tmp_path, monkeypatch):
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("torchid.gap.torque.explain_gap", stopped)
+    out = tmp_path / "out"
+    out.mkdir()
+    for file in (tmp_path / "a.json", out / "gap.json", out / "gap_joint_1.png"):
+        file.write_text("whole")
+    for where in (("--json", tmp_path / "a.json"), ("--out", out, "--overwrite")):
+        assert command("gap", "3r", runs / "a.csv", *FEW, *where).code == 130
+    held = {p.name: p.read_text() for p in (*tmp_path.glob("*.json"), *out.iterdir())}
+    assert json.loads(held.pop("so_far.json"))["schema"] == "torchid.so_far/1"
+    assert held == dict.fromkeys(("a.json", "gap.json", "gap_joint_1.png"), "whole")
+    assert (tmp_path / "so_far.json").is_file()
+    assert (out / "so_far.json").is_file()
+
+
 @pytest.mark.parametrize(
     ("files", "options", "words"),
     [

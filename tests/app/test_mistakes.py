@@ -150,47 +150,25 @@ def test_a_mistake_is_one_error_with_its_remedy(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_xacro_file_is_expanded_where_that_can_be_done(command, tmp_path, monkeypatch) -> None:
-    files(tmp_path)
+def test_xacro_of_any_name_is_refused_and_never_run(command, tmp_path, monkeypatch) -> None:
+    """A xacro is a program: what would run it, or stand for what runs it, is not touched."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    done = command("robot", "a.urdf.xacro")
-    assert done.code == 1
-    for word in ("pip install xacro", "xacro a.urdf.xacro > a.urdf"):
-        assert word in done.err
+    files(tmp_path)
+    (tmp_path / "xacro.py").write_text("open('run', 'w')\n")
     program = tmp_path / "xacro"
-    program.write_text("#!/bin/sh\n/bin/cat my_arm.urdf\n")
+    program.write_text("#!/bin/sh\ntouch run\n")
     program.chmod(0o755)
-    assert command("robot", "a.urdf.xacro", "--json", "a.json").code == 0
-    assert '"j3"' in (tmp_path / "a.json").read_text()
-    program.write_text("#!/bin/sh\necho 'no such macro' >&2; exit 2\n")
-    done = command("robot", "a.urdf.xacro")
-    assert (done.code, "no such macro" in done.err) == (1, True)
-
-
-def test_xacro_has_one_answer_by_any_name(command, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     monkeypatch.setenv("PATH", str(tmp_path))
-    files(tmp_path)
-    names = ("b.urdf", "b.xacro", "b.urdf.xacro", "b.urdf.xml")
-    for name in names:
+    for name in ("b.urdf", "b.xacro", "b.urdf.xacro", "b.urdf.xml"):
         (tmp_path / name).write_text(XACRO)
         done = command("robot", name)
         assert done.code == 1
-        assert f"'{name}' is a xacro file, and xacro is not installed" in done.err
+        assert f"'{name}' is a xacro file: a program, which torchid does not run" in done.err
         assert "<xacro:if> on line 1" in done.err
         plain = "b_expanded.urdf" if name == "b.urdf" else "b.urdf"
         assert f"xacro {name} > {plain}" in done.err.replace("\n", " ")
-    program = tmp_path / "xacro"
-    program.write_text("#!/bin/sh\n/bin/cat my_arm.urdf\n")
-    program.chmod(0o755)
-    for name in names:
-        assert command("robot", name, "--json", f"{name}.json").code == 0
-        assert '"j3"' in (tmp_path / f"{name}.json").read_text()
-    # What needs no expanding is read without xacro.
-    program.unlink()
+    assert not (tmp_path / "run").exists()
+    # What needs no expanding is read.
     (tmp_path / "c.xacro").write_text((tmp_path / "my_arm.urdf").read_text())
     assert command("robot", "c.xacro").code == 0
 

@@ -1,8 +1,13 @@
 """A second run does not write over the results of the first, and one that fails leaves nothing."""
 
+import json
 import os
+import time
 
 import pytest
+
+import torchid
+from torchid.errors import TorchidError
 
 
 def _held(folder) -> dict[str, float]:
@@ -52,3 +57,48 @@ def test_a_run_that_fails_leaves_no_empty_folder(command, broken, tmp_path, out,
     done = command("identify", "3r_friction", log, "--cutoff", "none", "--out", target)
     assert done.code == 1, done.out
     assert sorted(os.walk(tmp_path)) == before
+
+
+def test_results_that_come_meanwhile_are_not_written_over(
+    command, folder, tmp_path, monkeypatch
+) -> None:
+    """Another run into the same folder was faster: both sets of results are kept, and whole."""
+    out = tmp_path / "result"
+    asked = ("identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--out", out)
+    identify = torchid.identify
+
+    def late(*given, **more):
+        found = identify(*given, **more)
+        time.sleep(0.02)
+        (out / "identification.json").write_text("theirs")
+        return found
+
+    monkeypatch.setattr("torchid.identify", late)
+    done = command(*asked)
+    assert done.code == 1
+    assert "another run has put its results there" in done.err
+    assert (out / "identification.json").read_text() == "theirs"
+    assert [path.name for path in out.iterdir()] == ["identification.json"]
+    (beside,) = tmp_path.glob("result-*")
+    assert str(beside) in done.err
+    assert json.loads((beside / "identification.json").read_text())["n_base"]
+    # One that is asked to write over them does.
+    assert command(*asked, "--overwrite").code == 0
+    assert json.loads((out / "identification.json").read_text())["n_base"]
+
+
+def test_a_command_that_fails_behind_its_answer_leaves_the_old_set(
+    command, folder, tmp_path, monkeypatch
+) -> None:
+    out = tmp_path / "result"
+    asked = ("identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--out", out)
+    assert command(*asked).code == 0
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    assert len(before) > 1
+
+    def full(*_: object) -> None:
+        raise TorchidError("the disk is full.")
+
+    monkeypatch.setattr("torchid.report.panels.save", full)
+    assert command(*asked, "--overwrite", "--seed", 7).code == 1
+    assert {path: path.read_bytes() for path in out.iterdir()} == before

@@ -244,7 +244,7 @@ def test_a_model_that_says_how_sure_it_is_is_drawn_from_alike(found: GapRecord) 
     ("bad", "words"),
     [
         ({"level": 1.0}, "level is out of range"),
-        ({"draws": 1}, "too few draws"),
+        ({"draws": 1}, "so many robots cannot be drawn"),
         ({"robot": torchid.load_robot("panda")}, "of another arm"),
     ],
 )

@@ -86,7 +86,7 @@ def test_by_command(found, tmp_path):
     ("more", "said"),
     [
         ({"level": 1.0}, "level is out of range"),
-        ({"draws": 1}, "too few draws"),
+        ({"draws": 1}, "so many robots cannot be drawn"),
         ({"robot": "kuka_lwr4"}, "of another arm"),
     ],
 )

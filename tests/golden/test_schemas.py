@@ -27,6 +27,7 @@ def files_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command has written its JSON before it says anything: printing can fail."""
 
     def say(self: Output, *objects: object) -> None:
+        self.finish()  # with which the true one begins, too
         assert self.json_file is None or self.json_file.exists(), objects
 
     monkeypatch.setattr(Output, "say", say)

@@ -60,7 +60,7 @@ def test_some_columns_in_an_order_of_their_own():
 def test_a_page_has_all_rows_and_the_terminal_the_first(table):
     assert [len(t.rows) for t in (table, table.printed, table.on_page())] == [2, 1, 2]
     assert table.printed.note == "A note. And 1 more, in the JSON."
-    assert Table.read(table.plain()).rows == table.printed.rows
+    assert table.plain()["rows"] == [[str(c) for c in row] for row in table.printed.rows]
 
 
 def test_columns_change_no_json():

@@ -1,5 +1,6 @@
 """Robot files that are none, or whose numbers no arm has."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,13 @@ MJCF = """<mujoco model="arm"><compiler autolimits="true"/><worldbody><body name
 <joint name="j1" axis="0 0 1" range="-2 2"/><body name="l2" pos="0 0 0.3">
 <inertial pos="0 0 0.1" mass="1" diaginertia="0.02 0.02 0.02"/>
 <joint name="j2" axis="0 1 0" range="-2 2"/></body></body></worldbody></mujoco>"""
+
+FIELD = '<hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/>'
+COPIES = "<replicate count='200' offset='1 0 0'><geom size='1'/></replicate>"
+ATTACH = (
+    '<asset><model name="m" file="{}"/></asset>'
+    '<worldbody><attach model="m" body="l1" prefix="m"/></worldbody><worldbody>'
+)
 
 
 def _put(path: str, value: Any) -> bytes:
@@ -181,6 +189,18 @@ def files() -> Iterator[tuple[str, bytes]]:
     yield "mesh.xml", mjcf("<worldbody>", '<asset><mesh file="no.stl"/></asset><worldbody>')
     yield "twice.xml", mjcf('name="j2"', 'name="j1"')
     yield "nothing.xml", b"<mujoco><worldbody><body/></worldbody></mujoco>"
+    for k, count in enumerate(("1000000000", "9" * 400)):
+        yield f"copies{k}.xml", mjcf("<worldbody>", f'<worldbody><replicate count="{count}"/>')
+        yield f"keys{k}.xml", mjcf("<worldbody>", f'<size nkey="{count}"/><worldbody>')
+    yield "field.xml", mjcf("<worldbody>", f"<asset>{FIELD}</asset><worldbody>")
+    for k, copies in enumerate((COPIES, f"<replicate count='200'>{COPIES}</replicate>")):
+        yield f"bodies{k}.xml", mjcf("<worldbody>", f"<worldbody>{copies}")
+    for name in ("a", "b"):  # a model that attaches the other one
+        other = f"attach_{'b' if name == 'a' else 'a'}.xml"
+        yield f"attach_{name}.xml", mjcf("<worldbody>", ATTACH.format(other))
+    for k, file in enumerate(("pipe.xml", "/dev/zero")):
+        yield f"include{k}.xml", mjcf("<worldbody>", f'<include file="{file}"/><worldbody>')
+    yield "pipes.xml", mjcf("<worldbody>", '<asset><mesh file="pipe.stl"/></asset><worldbody>')
     for k, value in enumerate(("x", "nan", "inf", "1e308", "1e200", "9" * 400)):
         yield f"mass{k}.xml", mjcf('mass="2"', f'mass="{value}"')
         yield f"pos{k}.xml", mjcf('pos="0 0 0.3"', f'pos="0 0 {value}"')
@@ -203,4 +223,7 @@ def write_all(folder: Path) -> dict[str, Path]:
     found["folder"] = folder / "folder.urdf"
     found["folder"].mkdir()
     found["suffix"] = folder / "arm.step"
+    for suffix in ("xml", "stl", "urdf"):
+        found[f"pipe.{suffix}"] = folder / f"pipe.{suffix}"
+        os.mkfifo(found[f"pipe.{suffix}"])
     return found

@@ -18,30 +18,46 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import yaml
 
+from tests.gap_files import diagnosis, hidden, named
 from tests.log.recordings import BAGS, START_NS, write_bag, write_lerobot
 from tests.robustness import bad_logs, bad_results, bad_robots
 from tests.robustness.bench import TooLongError, limited
+from torchid import inverse_dynamics
+from torchid.effects.model import ArmModel
 from torchid.errors import TorchidError
+from torchid.export.model import load_model
+from torchid.fleet.manifest import read_manifest
+from torchid.gap.record import GapRecord
+from torchid.inputs import as_log
+from torchid.log.checks import check_log
 from torchid.log.mapping import read_mapping
-from torchid.log.readers import log_from_columns, read_log
+from torchid.log.model import Log
+from torchid.log.readers import log_from_columns, read_log, write_log
+from torchid.report.explain import report_of_file
 from torchid.results.files import load
+from torchid.results.record import Record
 from torchid.robot.library import load_robot
+from torchid.robot.model import Robot
+from torchid.robot.writer import write_robot
 
 COLUMNS = """t: time ms
 q: pos_{j} deg
 tau: {columns: [a, b, c], unit: mN m, factor: [1, -1, 1]}
 """
+MERGED = "a: &a {x: 1, y: 2}\nb: &b {<<: [*a, *a], z: 3}\nname: {<<: [*a, *b, *b]}\n"
 CORPUS = Path(__file__).parent / "corpus"
 WORDS = tuple(
     [struct.pack(f"{order}{kind}", value & (2 ** (8 * size) - 1))
      for kind, size in (("B", 1), ("H", 2), ("I", 4), ("Q", 8))
      for order in "<>"
      for value in (0, 1, -1, 2 ** (8 * size - 1), 2 ** (8 * size - 1) - 1, 255)]
+    + [b'"colour"', b"backlash", b"null", b"[]", b"{}"]
     + [b"nan", b"inf", b"1e308", b"-1", b"\xff\xfe", b"\0", b"\x1b[31m", b'"', b"'", b"[" * 500,
        b"{", b"}", b",", b"\n", b"<", b">", b"&a;", b"9" * 400, b"null", b"true", b"*", b"&", b":"]
 )  # fmt: skip
@@ -51,6 +67,9 @@ def seeds(folder: Path) -> dict[str, bytes]:
     """A small good file of every format, by name; those of datasets and bags that are folders with
     their places in it, and all of them there."""
     table = bad_logs.motion(40)
+    gap = diagnosis(
+        folder / "gap.json", named(), hidden=[hidden("backlash", 1)], robot="3r_friction"
+    )
     sets, identified = bad_results.good(folder)
     states = [
         {"stamp": START_NS + round(1e9 * t), "name": ["a", "b", "c"], "position": q, "velocity": q}
@@ -77,6 +96,9 @@ def seeds(folder: Path) -> dict[str, bytes]:
         "arm.yaml": yaml.safe_dump(bad_robots.GOOD).encode(),
         "arm.urdf": bad_robots.URDF.encode(),
         "arm.xml": bad_robots.MJCF.encode(),
+        "merged.yaml": MERGED.encode(),
+        "fleet.csv": b"log,unit,session\na.csv,007,1.10\nb.csv,7,1e5\n",
+        "gap.json": gap.read_bytes(),
         "sets.json": sets.read_bytes(),
         "identified.json": identified.read_bytes(),
     }
@@ -123,12 +145,38 @@ def changed(content: bytes, others: bytes, choose: random.Random) -> bytes:
 
 
 def read(path: Path) -> None:
-    """A file with the reader of its suffix."""
+    """A file with the reader of its suffix; what could be read is used."""
     readers: dict[str, Callable[[Path], object]] = {
-        ".json": load, ".yaml": load_robot, ".urdf": load_robot, ".xml": load_robot,
+        ".json": load, ".yaml": load_model, ".urdf": load_robot, ".xml": load_robot,
         ".yml": read_mapping,
     }  # fmt: skip
-    readers.get(path.suffix, read_log)(path)
+    found = readers.get(path.suffix, read_log)(path)
+    if path.suffix == ".csv":
+        with suppress(TorchidError):
+            read_manifest(path)
+    use(found, path)
+
+
+def use(found: object, path: Path) -> None:
+    """What people do first with a log, a robot, a model or a result that was read."""
+    if isinstance(found, Log):
+        as_log(found)
+        write_log(found, path.with_name("written.csv"))
+        check_log(found, n=found.n, robot_name="arm")
+    elif isinstance(found, Robot):
+        zero = np.zeros((2, found.n))
+        if found.parameters is not None:
+            inverse_dynamics(found, zero, zero, zero)
+        write_robot(found, path.with_name("written.yaml"))
+    elif isinstance(found, ArmModel):
+        zero = np.zeros((3, found.robot.n))
+        found.torque(zero, zero, zero, [0.0, 0.1, 0.2])
+        found.sample(2)
+    elif isinstance(found, Record):
+        report_of_file(path)
+        found.plain()
+        if isinstance(found, GapRecord):
+            load_model(path)
 
 
 def fault(path: Path) -> str | None:

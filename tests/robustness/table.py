@@ -19,6 +19,10 @@ EVERY = 40
 _ROBOTS = ("robot", "params")
 _RESULTS = ("result", "results", "sets")
 _LOGS = ("logs", "trajectory", "held_out", "loaded", "on", "log")
+_EVERYWHERE = ("nan.csv", "back.csv", "nan_time.csv")
+"""Logs that every place for a log is given: what is checked of one is checked of all."""
+_PAIR = {"simulated": "real", "real": "simulated"}
+"""Options that take the place of LOG..., and go together."""
 _WHOLE = {"check": 5, "log show": 4, "export": 15}
 """Commands that get all of the first kind of file that they take, or one in so many of them."""
 _QUIET = ("log doctor", "log show")
@@ -28,7 +32,7 @@ _SLOW = ("excite", "extract", "atlas", "wrenches", "compare")
 
 LATE = ((("correct",), "name"),)
 """Options that are looked at when a command has computed for long."""
-_READ = (*_ROBOTS, *_LOGS, "result", "results", "sets")
+_READ = (*_ROBOTS, *_LOGS, *_PAIR, "result", "results", "sets")
 """Options whose bad values are files, in `Table.files`."""
 
 
@@ -74,7 +78,7 @@ class Table:
             "robot": "3r", "params": "3r", "name": "3r", "seed": 1, "cases": 1, "to": "urdf",
             "result": identified, "results": identified, "sets": sets, "folder": good,
             "logs": log, "trajectory": log, "loaded": other, "held_out": good / "third.csv",
-            "on": other, "log": other,
+            "on": other, "log": other, "simulated": log, "real": other,
         }  # fmt: skip
         results = bad_results.write_all(folder / "results", sets, identified)
         return cls(
@@ -106,6 +110,10 @@ class Table:
             needed = option.parameter.default is option.parameter.empty or (
                 option.name in ("to", "out", "result") and option.takes_paths
             )
+            if name == ("gap",):
+                needed = option.name in ("robot", "logs")
+            if bad is not None and bad.name in _PAIR:
+                needed = option.name in ("robot", _PAIR[bad.name])
             if option is bad:
                 words += _shown(option, value)
             elif WRITTEN in option.said or PLACE in option.said:
@@ -123,7 +131,7 @@ class Table:
         for k, option in enumerate(COMMANDS[name]):
             if option.name in _ROBOTS:
                 every, kind = self.robots, "robot"
-            elif option.name in _LOGS:
+            elif option.name in (*_LOGS, *_PAIR):
                 every, kind = self.logs, "log"
             elif option.name in _RESULTS:
                 every, kind = self.results, "result"
@@ -136,7 +144,9 @@ class Table:
             chosen = [
                 item
                 for i, item in enumerate(every.items())
-                if (places and i % places == slot) or (more and i % more == 0)
+                if (places and i % places == slot)
+                or (more and i % more == 0)
+                or (item[0] in _EVERYWHERE and " ".join(name) not in _QUIET)
             ]
             for text, path in chosen:
                 broken = path.name.startswith("no_")
@@ -225,6 +235,8 @@ def beside(folder: Path) -> Iterator[Case]:
 def _slot(name: tuple[str, ...], option: Option) -> tuple[int, int]:
     """The number of a place among all that take a robot, or a log, or a result, and how many these
     are; none of results where a command is slow."""
+    if option.name in _PAIR:
+        return 0, EVERY
     kind = next(k for k in (_ROBOTS, _LOGS, _RESULTS) if option.name in k)
     slow = _SLOW if kind is _RESULTS else ()
     places = [

@@ -72,7 +72,7 @@ class Engine(opt.Crew):
         for this run only."""
         from torchid.fleet.manifest import logs_of
         from torchid.fleet.model import FleetModel
-        from torchid.parallel.store import Store
+        from torchid.parallel.store import Store, is_url
 
         crew = self.crew
         place = self.store or (output.out and str(output.out / "store"))
@@ -81,11 +81,14 @@ class Engine(opt.Crew):
                 "what several machines compute needs a place that all of them see.",
                 expected="--store DIR|URL, or --out DIR",
             )
+        store = Store(place) if place else None
+        if store is not None and is_url(store.place):
+            _ = "" in store  # there is such a protocol
         logs = logs_of(units.logs or (), units.manifest)
         robot, gain = units.load(), units.gain
         gains = None if gain is None else tuple(opt.numbers("--gain", gain, robot.n))
         model = FleetModel(robot, settings, units.request(robot), gains)
-        return model, logs, crew, Store(place) if place else None
+        return model, logs, crew, store
 
 
 _Hertz = Annotated[float, typer.Option(metavar="HZ")]

@@ -1,7 +1,9 @@
 """Where a command's results go: JSON, a folder, a page, and then the terminal."""
 
 import logging
+import os
 import re
+import secrets
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +22,15 @@ from torchid.app.inputs import PLACE, WRITTEN, Suffix
 from torchid.app.progress import ProgressBars, ProgressLines
 from torchid.app.signature import OPTIONS, Fields, Switch
 from torchid.errors import TorchidError, visible
-from torchid.files import make_folder, remove_empty, require_folder
+from torchid.files import (
+    Staged,
+    discard,
+    make_folder,
+    put_in_place,
+    remove_empty,
+    require_folder,
+    staged,
+)
 from torchid.json_data import write_json
 
 if TYPE_CHECKING:
@@ -31,8 +41,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Output:
-    """Where a command's results go: files first, and only then what is printed, so that nothing is
-    lost where it cannot be.
+    """Where a command's results go: files first, all or none of them, and only then what is
+    printed, so that nothing is lost where it cannot be.
 
     Attributes:
         json_file: Write the result as JSON; - for standard output, alone.
@@ -44,7 +54,12 @@ class Output:
         quiet: Print errors only.
         threads: Threads of torch and BLAS (default 1: fastest on shared machines).
         started: of `time.monotonic`.
+        begun: by the clock of files.
         written: files, in the order in which they were written.
+        answers: those of them that are the command's JSON.
+        done: those of them that have their names.
+        staged: those of them that have not.
+        stale: files of an earlier run that go when these come.
         unsaid: why standard output took no more.
     """
 
@@ -61,7 +76,12 @@ class Output:
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
     threads: Annotated[int | None, typer.Option(min=1, max=1024)] = None
     started: float = field(default_factory=time.monotonic, init=False)
+    begun: float = field(default_factory=time.time, init=False)
     written: list[Path] = field(default_factory=list, init=False)
+    answers: set[Path] = field(default_factory=set, init=False)
+    done: set[Path] = field(default_factory=set, init=False)
+    staged: Staged = field(default_factory=list, init=False)
+    stale: list[Path] = field(default_factory=list, init=False)
     unsaid: list[OSError] = field(default_factory=list, init=False)
 
     def __enter__(self) -> "Output":
@@ -99,14 +119,17 @@ class Output:
         return [] if self.out is None else make_folder(self.out)
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Say which files there are; of a command that failed, remove folders that are empty.
+        """Give files their names, and say which there are; of a command that failed, remove files
+        and folders that are empty.
 
         Raises:
-            TorchidError: what was said could not be printed.
+            TorchidError: what was said could not be printed, or as `finish`.
         """
         if error is not None:
+            discard(self.staged)
             remove_empty(self.__dict__.get("_made", ()))
             return
+        self.finish()
         others = [str(f) for f in self.written if f.parent != self.out]
         inside = _few([f.name for f in self.written if f.parent == self.out])
         files = "; ".join([*others, *([f"{inside} in {self.out}"] if inside else [])])
@@ -116,6 +139,37 @@ class Output:
                 f"what is printed could not be: {self.unsaid[0].strerror or self.unsaid[0]}.",
                 hint=f"written: {files}" if files else "--json FILE, or --out DIR",
             )
+
+    def finish(self) -> None:
+        """Give all files that were written so far their names, at once.
+
+        Raises:
+            TorchidError: another run has put results there since this one began, whose are kept
+                beside them; or a file cannot be renamed.
+        """
+        # The command's own JSON is the last.
+        files, stale = sorted(self.staged, key=lambda f: f[1] in self.answers), self.stale.copy()
+        self.staged.clear()
+        self.stale.clear()
+        named = {Path(os.path.realpath(p)) for p in (self.json_file, self.report) if p is not None}
+        taken = [
+            target
+            for _, target in files
+            if not self.overwrite and target not in named
+            and target.exists() and target.stat().st_ctime > self.begun
+            and target not in self.done
+        ]  # fmt: skip
+        if taken:
+            place = Path(f"{taken[0].parent}-{secrets.token_hex(3)}")
+            place.mkdir()
+            put_in_place([(temporary, place / target.name) for temporary, target in files])
+            raise TorchidError(
+                "another run has put its results there meanwhile, and they are kept.",
+                got=", ".join(map(str, taken)),
+                hint=f"those of this run are in {place}",
+            )
+        put_in_place(files, stale)
+        self.done.update(target for _, target in files)
 
     @property
     def silent(self) -> bool:
@@ -134,7 +188,8 @@ class Output:
         self, watcher: "ProgressLines | ProgressBars | None"
     ) -> "Iterator[Callable[[Answer], None] | None]":
         """What takes answers so far, and shows them; where Ctrl-C stops the work, the last one is
-        written to --json and to DIR/so_far.json, and printed."""
+        written to so_far.json in DIR, or beside --json FILE, and printed: an answer that is whole
+        stays."""
         if watcher is None:
             yield None
             return
@@ -151,27 +206,36 @@ class Output:
                 raise
             from torchid.results.record import as_plain
 
-            self.write_json({"schema": SO_FAR, "answer": as_plain(stood[0])}, "so_far.json")
+            answer = {"schema": SO_FAR, "answer": as_plain(stood[0])}
+            place = self.out
+            if place is None and self.json_file is not None and str(self.json_file) != "-":
+                place = self.json_file.parent
+            self.put(place and place / "so_far.json", partial(write_json, answer))
             self.say(stood[0].headline)
             files = [str(file) for file in self.written]
             raise KeyboardInterrupt(
                 *([f"the answer so far is in {', '.join(files)}"] if files else [])
             ) from stop
 
-    def write_json(self, data: Mapping[str, Any], name: str) -> None:
-        """To --json and to DIR/name, whichever were given."""
+    def write_json(self, data: Mapping[str, Any], name: str | None) -> None:
+        """To --json and to DIR/name, whichever were given; without a name to --json alone."""
+        own = None if self.out is None or name is None else self.out / name
+        self.answers.update(
+            Path(os.path.realpath(p)) for p in (self.json_file, own) if p is not None
+        )
         if str(self.json_file) == "-":
             with suppress(BrokenPipeError):  # whoever reads standard output has left
                 write_json(data, Path("/dev/stdout"))
         else:
             self.put(self.json_file, partial(write_json, data))
-        self.put(self.out and self.out / name, partial(write_json, data))
+        self.put(own, partial(write_json, data))
 
     def put(self, path: Path | None, write: Callable[[Path], object]) -> None:
         """Write a file, if it is asked for."""
         if path is not None:
             self.begin()
-            write(path)
+            with staged(self.staged):
+                write(path)
             self.written.append(path)
 
     def give(self, result: Any, name: str, show: "Callable[[Any], Report]", **about: Any) -> None:
@@ -214,8 +278,7 @@ class Output:
         if self.out is not None:
             from torchid.report.panels import save
 
-            for file in (file for pattern in old for file in self.out.glob(pattern)):
-                file.unlink()
+            self.stale.extend(file for pattern in old for file in self.out.glob(pattern))
             for picture, draw in shown.figures.items():
                 if (figure := draw()) is not None:
                     self.put(self.out / f"{picture}.png", partial(save, figure))
@@ -272,6 +335,7 @@ class Output:
 
     def say(self, *objects: Any) -> None:
         """Print for people, one after another, unless quiet: texts as they are, without markup."""
+        self.finish()
         for one in () if self.silent or self.unsaid else objects:
             try:
                 self.console.print(as_text(one) if isinstance(one, str) else one)

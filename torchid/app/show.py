@@ -59,7 +59,7 @@ def effects_command(
         "schema": "torchid.effects/1",
         "effects": [*map(effect_record, kinds), *map(effect_record, servos)],
     }
-    replace(output, out=None).write_json(record, "effects.json")
+    output.write_json(record, None)
     if output.out is not None:
         output.begin()
         output.written.append(write_catalogue(output.out))

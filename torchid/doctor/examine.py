@@ -149,7 +149,7 @@ def examine(
     True
     """
     robot = as_robot(robot)
-    log = as_log(log, robot)
+    log = as_log(log, robot, usable=False)
     robot.require_fixed_base("the log doctor")
     check_joints(log, robot.name, robot.n)
     longest = max(rows.stop - rows.start for rows in log.slices())

@@ -22,7 +22,7 @@ from torchid.inputs import RobotLike, as_robot
 from torchid.results.record import face
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot, free_name
-from torchid.tensors import as_tensor, joint_signals
+from torchid.tensors import as_tensor, joint_signals, require_count
 from torchid.typing import Float, JointMatrix, Joints, Numbers, Tensor
 
 if TYPE_CHECKING:
@@ -242,8 +242,9 @@ class ArmModel(Module):
             seed: of the draws.
 
         Raises:
-            TorchidError: neither says how sure it is.
+            TorchidError: neither says how sure it is, or k is no such number.
         """
+        require_count(k, "models")
         wide = face("randomise")(self._posterior, draws=max(2, k), seed=seed)
         return [ArmModel(wide.one(i)).to(self.pi.device) for i in range(k)]
 

@@ -20,7 +20,7 @@ from torchid.position.replay import Replay, replay
 from torchid.results.files import load
 from torchid.simulation.servo import Servos
 from torchid.simulators.servo import ServoTorque
-from torchid.tensors import as_tensor, joint_signals
+from torchid.tensors import as_tensor, joint_signals, require_count
 from torchid.typing import Joints, Numbers
 
 
@@ -119,8 +119,10 @@ class ServoModel(Module):
             seed: of the draws.
 
         Raises:
-            TorchidError: it is of a file, which says standard deviations alone.
+            TorchidError: it is of a file, which says standard deviations alone, or k is no such
+                number.
         """
+        require_count(k, "models")
         if self._posterior is None:
             raise TorchidError(
                 f"the model of '{self._arm.robot.name}' does not say how sure it is.",

@@ -48,6 +48,7 @@ from torchid.robot.inertia import (
     pseudo_inertia_basis,
 )
 from torchid.robot.model import JointType, Robot
+from torchid.tensors import require_count
 from torchid.typing import Bool, Float, Int, Tensor
 
 BODY_FIELDS = {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"}
@@ -96,8 +97,7 @@ def randomise(
     robot = None if robot is None else as_robot(robot)
     if not 0 < level < 1:
         raise TorchidError("the level is out of range.", got=level, expected="0..1, e.g. 0.95")
-    if draws < 2:
-        raise TorchidError("too few draws for a range.", got=draws, expected="2 or more")
+    require_count(draws, "robots", 2)
     if isinstance(found, PositionRecord):
         return randomise_positions(found, level, robot, draws, seed)
     if isinstance(found, Robot):

@@ -181,7 +181,7 @@ def effect_label(effect: str, joints: Sequence[int]) -> str:
 
 def described(model: FleetModel, answers: Sequence[tuple[LogAnswer, dict[str, Any]]]) -> FleetGap:
     """Diagnoses of a fleet's logs, each with what became of the log; empty where there is none."""
-    units = sorted({a.unit for a, gap in answers if gap})
+    units = list(dict.fromkeys(a.unit for a, gap in answers if gap))
     # By effect and place: units, what it cannot be told from, coefficients.
     having: dict[tuple[str, str, tuple[int, ...]], list[tuple[str, dict]]] = defaultdict(list)
     for answer, gap in answers:
@@ -198,7 +198,7 @@ def described(model: FleetModel, answers: Sequence[tuple[LogAnswer, dict[str, An
                 effect=effect,
                 family=family,
                 joints=tuple(Joint(j - 1) for j in joints),
-                units=tuple(sorted(by_unit)),
+                units=tuple(u for u in units if u in by_unit),
                 share=len(by_unit) / len(units),
                 ci95=(low, high),
                 scope=scope,
@@ -211,7 +211,8 @@ def described(model: FleetModel, answers: Sequence[tuple[LogAnswer, dict[str, An
                         for name, value in by_unit[unit]["parameters"].items()
                         if isinstance(value, float)
                     }
-                    for unit in sorted(by_unit)
+                    for unit in units
+                    if unit in by_unit
                 },
             )
         )

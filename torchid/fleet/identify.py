@@ -19,7 +19,7 @@ import torch
 from torchid import __version__
 from torchid.errors import IdentificationError, TorchidError, visible
 from torchid.fleet.factors import FAR_FROM_PHYSICAL, Solved
-from torchid.fleet.manifest import FleetLog
+from torchid.fleet.manifest import FleetLog, in_order
 from torchid.fleet.model import FleetModel
 from torchid.fleet.record import (
     USED,
@@ -40,7 +40,6 @@ from torchid.fleet.tasks import (
     whole_type,
 )
 from torchid.identification.base_parameters import BaseParameters, physical_signs
-from torchid.log.table import natural
 from torchid.parallel.store import Store
 from torchid.parallel.workers import Failure, Progress, Workers, attempted
 from torchid.results.record import Result
@@ -229,7 +228,7 @@ def part_of(logs: Sequence[FleetLog], part: Part | None) -> list[FleetLog]:
     Raises:
         TorchidError: a part that there is not.
     """
-    ordered = sorted(logs)
+    ordered = in_order(logs)
     if part is None:
         return ordered
     i, n = part
@@ -262,7 +261,7 @@ def fleet_identify(
         RefusedError: a worker has another torchid.
 
     >>> import torchid
-    >>> from torchid.fleet.manifest import FleetLog
+    >>> from torchid.fleet.manifest import FleetLog, in_order
     >>> robot = torchid.load_robot("3r")
     >>> motion = torchid.excite(robot, seed=1, duration=10.0, restarts=1, iterations=0).log()
     >>> with TemporaryDirectory() as folder:
@@ -289,11 +288,11 @@ def fleet_identify(
         tasks = [
             UnitTask(
                 unit,
-                tuple((name, tuple(sorted(own[name]))) for name in sorted(own, key=natural)),
+                tuple((name, tuple(sorted(keys))) for name, keys in own.items()),
                 model,
                 place.place,
             )
-            for unit, own in sorted(sessions.items(), key=lambda u: natural(u[0]))
+            for unit, own in sessions.items()
         ]
         # A unit is fitted in tenths of a second, and a process starts in seconds.
         crew = 1 if isinstance(workers, int) and len(tasks) < WORTH_PROCESSES else workers
@@ -343,7 +342,8 @@ def write_index(store: Store, answers: Sequence[LogAnswer], name: str = INDEX) -
         for a in answers
     ]  # fmt: skip
     files, place = fsspec.url_to_fs(store.place)
-    pa.parquet.write_table(pa.Table.from_pylist(rows), f"{place}/{name}", filesystem=files)
+    table, file = pa.Table.from_pylist(rows), f"{place}/{name}"
+    pa.parquet.write_table(table, file, filesystem=files, write_page_checksum=True)
 
 
 def _notes(

@@ -1,27 +1,27 @@
 """Which log is of which unit and session."""
 
+import csv
+import io
 import itertools
-import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
+import pyarrow as pa
 
 from torchid.errors import TorchidError
-from torchid.log.csv_file import csv_table
-from torchid.log.formats import parquet_table
-from torchid.log.readers import is_log
-from torchid.log.table import Request
+from torchid.log.formats import open_parquet
+from torchid.log.readers import guarded, is_log
+from torchid.log.table import natural
 from torchid.parallel.store import is_url
 
 COLUMNS = ("log", "unit", "session")
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class FleetLog:
-    """One log of a fleet.
+    """One log of a fleet. Names are text: unit `007` is not unit `7`.
 
     Attributes:
         unit: the one arm it is of.
@@ -91,20 +91,18 @@ def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:
             got="no such file" if not file.is_file() else file.suffix or "no suffix",
             expected="a .csv or .parquet file with the columns log, unit, session",
         )
-    table = (csv_table if suffix == ".csv" else parquet_table)(file, Request())
+    with guarded(file):
+        columns = _csv_columns(file) if suffix == ".csv" else _parquet_columns(file)
     for name in COLUMNS[:2]:
-        if name not in table.columns:
+        if name not in columns:
             raise TorchidError(
                 f"the manifest '{file}' has no column {name}.",
                 expected="log, unit, session",
-                available=list(table.columns),
+                available=list(columns),
             )
-    columns = {
-        name: _words(cells)
-        for name, cells in table.read([name for name in COLUMNS if name in table.columns]).items()
-    }
     columns.setdefault("session", [Path(path).stem for path in columns["log"]])
     for name in COLUMNS:
+        columns[name] = [cell.strip() for cell in columns[name]]
         if "" in columns[name]:
             row = columns[name].index("") + 1
             raise TorchidError(f"the manifest '{file}' has no {name} in row {row}.")
@@ -112,10 +110,28 @@ def read_manifest(file: str | Path) -> tuple[FleetLog, ...]:
     return _apart(list(map(FleetLog, columns["unit"], columns["session"], paths)))
 
 
-def _words(array: np.ndarray) -> list[str]:
-    """Cells as text; whole numbers, which units and sessions may be, without a point."""
-    cells = ("" if x is None or x != x else str(x) for x in array.tolist())
-    return [re.sub(r"(?<=\d)\.0$", "", cell) for cell in cells]
+def _csv_columns(file: Path) -> dict[str, list[str]]:
+    """Cells by column, as they are written."""
+    text = file.read_bytes().decode("utf-8-sig")
+    commented = itertools.takewhile(lambda line: line.startswith("#"), text.splitlines(True))
+    text = text[sum(map(len, commented)) :]
+    delimiter = max(",;\t", key=text.partition("\n")[0].count)
+    rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if row]
+    names = [name.strip() for name in rows[0]] if rows else []
+    cells = itertools.zip_longest(*(row[: len(names)] for row in rows), fillvalue="")
+    return {name: list(column[1:]) for name, column in zip(names, cells, strict=False)}
+
+
+def _parquet_columns(file: Path) -> dict[str, list[str]]:
+    """Cells by column as text: whole numbers with all their digits."""
+    with open_parquet(file) as opened:
+        table = opened.read([n for n in opened.schema_arrow.names if n in COLUMNS])
+    return {n: table[n].cast(pa.string()).fill_null("").to_pylist() for n in table.column_names}
+
+
+def in_order(logs: Iterable[FleetLog]) -> list[FleetLog]:
+    """By unit, session and path, numbers in names by their value: 2 before 10."""
+    return sorted(logs, key=lambda x: [(natural(w), w) for w in (x.unit, x.session, x.path)])
 
 
 def _apart(logs: Sequence[FleetLog]) -> tuple[FleetLog, ...]:
@@ -126,4 +142,4 @@ def _apart(logs: Sequence[FleetLog]) -> tuple[FleetLog, ...]:
     place, times = places.most_common(1)[0]
     if times > 1:
         raise TorchidError("a log is named twice.", got=place, expected="each log once")
-    return tuple(sorted(logs))
+    return tuple(in_order(logs))

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet
 
 from torchid.fleet.factors import STRETCH, in_stretches
 from torchid.log.columns import is_wanted, log_from_columns
-from torchid.log.formats import from_arrow
+from torchid.log.formats import from_arrow, open_parquet, parquet_table
 from torchid.log.model import Log
 from torchid.log.readers import guarded, open_log
 from torchid.log.table import Request
@@ -29,7 +28,7 @@ def stretches(path: Path, request: Request) -> Iterator[Log]:
     if path.suffix.lower() != ".parquet" or request.columns is not None or path.is_dir():
         yield from in_stretches(open_log(path, request)[1])
         return
-    with guarded(path), pa.parquet.ParquetFile(path) as file:
+    with guarded(path), open_parquet(path) as file:
         rows, names = file.metadata.num_rows, list(file.schema_arrow.names)
         if rows <= 2 * PART or "t" not in names:
             yield from in_stretches(open_log(path, request)[1])

@@ -14,8 +14,9 @@ from torchid.log.columns import (
     joint_columns,
     log_from_columns,
 )
-from torchid.log.guess import commanded_columns, proposed_mapping
+from torchid.log.guess import commanded_columns, proposed_mapping, torques_among
 from torchid.log.mapping import KEYS, SENSORLESS, ColumnMapping, Source, read_mapping
+from torchid.log.motor_off import enabling_columns, while_on
 from torchid.log.sources import (
     Piece,
     labels_of,
@@ -80,6 +81,8 @@ def log_from_table(
         notes = (*notes, f"'{table.path}' is read by the names of its columns: {guessed[0]}")
     if free and log.tau is None and log.current is None and (own := _torque(table)):
         notes = (*notes, f"'{table.path}'{OTHER_NAMES}: perhaps `columns=\"{own}\"`")
+    if free and log.tau is not None and (others := torques_among(unused_columns(table))):
+        notes = (*notes, f"'{table.path}' has other torques, left aside: {', '.join(others)}")
     warnings = tuple(dict.fromkeys((*log.warnings, *notes)))
     return log.replace(source=str(table.path), warnings=warnings, servos=table.servos)
 
@@ -146,7 +149,11 @@ def _read(table: Table, mapping: ColumnMapping) -> "torchid.Log":
             columns |= {f"{key}{k + 1}": values[:, k] for k in range(values.shape[1])}
         else:  # of one joint
             columns[key] = values[:, 0]
-    return log_from_columns(_with_sensorless(columns, sources, mapping), table.path)
+    columns = _with_sensorless(columns, sources, mapping)
+    switches = list(table.read(enabling_columns(table)).values())
+    left, notes = while_on(columns, switches, f"'{table.path}'")
+    log = log_from_columns(left, table.path)
+    return log.replace(warnings=(*log.warnings, *notes)) if notes else log
 
 
 def _with_sensorless(
@@ -194,7 +201,8 @@ class _Columns(Mapping[str, np.ndarray]):
 
 def unused_columns(table: Table, mapping: ColumnMapping | None = None) -> list[str]:
     """The columns that `log_from_table` leaves where they are."""
-    if mapping is None and not {"t", "q", "q1"} & table.columns.keys():
+    own = table.columns.keys()
+    if mapping is None and not ("t" in own and {"q", "q1"} & own):
         guessed = proposed_mapping(table)  # by which it was read
         mapping = read_mapping(guessed[0]) if guessed and not guessed[1] else None
     mapping = mapping or ColumnMapping({})

@@ -35,6 +35,7 @@ MILLIMETRES = 1000.0
 RPM = 30.0 / math.pi
 OTHER_UNIT = 0.2
 """A measured velocity that differs from the rate of q by more tells q's unit [1]."""
+DENIED = 10.0  # times as long as its rows take: no span of theirs
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
@@ -73,7 +74,7 @@ def check_log(
     if len(slides) != n or (position_limits is not None and position_limits.shape != (n, 2)):
         raise ValueError(f"prismatic and position_limits must have {n} entries")
     check_joints(log, robot_name, n, moving_base)
-    _check_finite(log)
+    check_finite(log)
     check_increasing(log)
     first = COORDINATES if moving_base else 0
     forced = []
@@ -94,6 +95,7 @@ def check_log(
         *forced,
         *_turning_on(log, position_limits, slides, first),
         *position_jumps(log),
+        *_spans(log),
         *[
             f"joint {k + 1} never moves (q{k + 1} varies by {float(extent[k]):.1g}): "
             "its parameters cannot be identified from this log."
@@ -123,7 +125,10 @@ def _check_units(log: Log, limits: Tensor | None, slides: Sequence[bool], first:
     _check_velocity_unit(log, slides)
 
 
-def _check_finite(log: Log) -> None:
+def check_finite(log: Log, *, commands: bool = True) -> None:
+    """Refuse a log with empty cells, NaN or infinity in its columns; those of commands count only
+    where asked for, for a command that is not there was not sent."""
+    log = log if commands or log.u is None else log.replace(u=None)
     bad = {name: ~np.isfinite(column) for name, column in columns_of(log).items()}
     wrong = {name: mask for name, mask in bad.items() if mask.any()}
     if not wrong:
@@ -178,6 +183,18 @@ def _check_position_units(
             if per is not None
             else f"is q{k + 1} in steps of an encoder? `columns=...` takes a factor",
         )
+
+
+def _spans(log: Log) -> Iterator[str]:
+    """Trajectories that last much longer than their rows: a stamp that is damaged, or a pause."""
+    for name, rows in zip(log.names, log.slices(), strict=True):
+        steps = log.t[rows].diff()
+        span, own = float(log.t[rows][-1] - log.t[rows][0]), float(steps.median()) * len(steps)
+        if span > DENIED * own:
+            yield (
+                f"'{name}' lasts {span:.4g} s, and its {len(steps) + 1} rows {own:.4g} s at their "
+                f"usual step: a stamp may be damaged after row {int(steps.argmax()) + 1}."
+            )
 
 
 def _turning_on(log: Log, limits: Tensor | None, slides: Sequence[bool], first: int) -> list[str]:

@@ -18,7 +18,10 @@ from torchid.log.formats import from_arrow, repeated
 from torchid.log.ros_echo import echo_table
 from torchid.log.table import Request, Shape, Table
 
-_LINES_LOOKED_AT = 100
+_LINES_LOOKED_AT = 200
+_LEAST_ROWS = 3
+"""Lines that are a table, where other lines stand before it."""
+_TAIL = 1 << 16
 _COMMENT = ("#", "%")
 
 
@@ -33,6 +36,8 @@ class _Dialect:
         decimal: point or comma.
         skipped: lines before the first values.
         first: the first line that is no comment.
+        before: lines before the header that are neither comments nor empty.
+        cut: the last line, if it ends too soon.
     """
 
     names: tuple[str, ...]
@@ -41,11 +46,27 @@ class _Dialect:
     decimal: str
     skipped: int
     first: str
+    before: tuple[str, ...] = ()
+    cut: str = ""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is left out of the file."""
+        out = []
+        if n := len(self.before):
+            lines = f"{n} line{'s' * (n > 1)} before the header left out"
+            out.append(f"{lines}: {'; '.join(line[:60] for line in self.before[:5])}")
+        if self.cut:
+            out.append(f"the last line ends too soon, and is left out: {self.cut[:60]}")
+        return tuple(out)
 
 
 def csv_table(path: Path, request: Request) -> Table:
     """The table of a text file with a header line; comments (#, %) before it are skipped. What ROS
-    echoes is read by the names in its rows, if no mapping says otherwise.
+    echoes is read by the names in its rows, if no mapping says otherwise, and pairs of columns
+    (`Name;A;Name;B` above times and values, as a TwinCAT scope writes them) as A, B at one time.
+
+    The header is the first line of the longest run of lines with equally many cells.
 
     Without a header line all columns are one array `data`, if a mapping says which is which.
 
@@ -55,6 +76,9 @@ def csv_table(path: Path, request: Request) -> Table:
     if request.columns is None and (echo := echo_table(path, request)) is not None:
         return echo
     dialect = _dialect(path)
+    said = tuple(f"'{path}': {text}" for text in dialect.warnings)
+    if dialect.names and _are_pairs(dialect.names):
+        return _pairs_table(path, dialect, said)
     if dialect.names:
         names = dialect.names
         columns: dict[str, Shape | None] = dict.fromkeys(names, (-1,))
@@ -63,7 +87,7 @@ def csv_table(path: Path, request: Request) -> Table:
             # By position: columns that are ignored may have any name, twice.
             return _read(path, dialect, {str(names.index(name)): name for name in wanted})
 
-        return Table(path, "csv", columns, read, repeated=repeated(names))
+        return Table(path, "csv", columns, read, repeated=repeated(names), warnings=said)
     if request.columns is None:
         raise LogError(
             f"'{path}' has no header line.",
@@ -77,7 +101,69 @@ def csv_table(path: Path, request: Request) -> Table:
         found = _read(path, dialect, {str(k): f"data[:,{k}]" for k in range(dialect.width)})
         return {"data": np.stack(list(found.values()), 1)} if wanted else {}
 
-    return Table(path, "csv without header", {"data": (-1, dialect.width)}, read_data)
+    shapes = {"data": (-1, dialect.width)}
+    return Table(path, "csv without header", shapes, read_data, warnings=said)
+
+
+def _are_pairs(names: Sequence[str]) -> bool:
+    """Whether columns are pairs of time and value, each pair headed by the same word."""
+    return len(names) > 2 and not len(names) % 2 and {n.lower() for n in names[::2]} == {"name"}
+
+
+def _pairs_table(path: Path, dialect: _Dialect, said: tuple[str, ...]) -> Table:
+    """Columns of a table of pairs, at the times of the longest."""
+    found = _read(path, dialect, {str(k): str(k) for k in range(dialect.width)})
+    pairs = {}
+    for k, name in enumerate(dialect.names[1::2]):
+        t, x = found[str(2 * k)], found[str(2 * k + 1)]
+        there = np.isfinite(t.astype(np.float64)) & np.isfinite(x.astype(np.float64))
+        pairs[name] = t[there].astype(np.float64), x[there].astype(np.float64)
+    t, columns = at_one_time(pairs, f"'{path}'")
+    unit = " [ms]" if re.search(r"\[ms\]", dialect.first) else ""
+    repeats = repeated(dialect.names[1::2])
+    arrays = {f"time{unit}": t, **columns}
+    return Table.in_memory(path, "csv of pairs", arrays, repeated=repeats, warnings=said)
+
+
+def at_one_time(
+    signals: Mapping[str, tuple[np.ndarray, np.ndarray]], label: str, clock_of: str | None = None
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Signals at the times of one of them, as far as all of them go.
+
+    Args:
+        signals: by name, times (T,) that rise and values (T,) or (T, k).
+        label: of the file, for the messages.
+        clock_of: whose times count; of the signal with the most samples if None.
+
+    Returns:
+        Times, and each signal there: straight lines between its samples.
+
+    Raises:
+        LogError: times that do not rise, or have no part in common.
+    """
+    for name, (t, _) in signals.items():
+        if len(t) < 2 or not bool((np.diff(t) > 0).all()):
+            whose = f"the times of {name} do" if name else "its time does"
+            raise LogError(f"{label}: {whose} not increase.", got=f"{len(t)} samples")
+    if clock_of is None:
+        clock_of = max(signals, key=lambda name: len(signals[name][0]))
+    clock = signals[clock_of][0]
+    first = max(t[0] for t, _ in signals.values())
+    last = min(t[-1] for t, _ in signals.values())
+    clock = clock[(clock >= first) & (clock <= last)]
+    if len(clock) < 2:
+        raise LogError(
+            f"{label}: signals were not recorded at the same time.",
+            got="; ".join(f"{name}: {t[0]:g} to {t[-1]:g}" for name, (t, _) in signals.items()),
+            expected="times of one clock",
+        )
+
+    def there(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+        if x.ndim == 1:
+            return np.interp(clock, t, x)
+        return np.stack([np.interp(clock, t, column) for column in x.T], 1)
+
+    return clock, {name: there(t, x) for name, (t, x) in signals.items()}
 
 
 def _dialect(path: Path) -> _Dialect:
@@ -89,20 +175,90 @@ def _dialect(path: Path) -> _Dialect:
     if any("\0" in line for line in lines):
         raise LogError(f"'{path}' is not a csv file, though its name says so.")
     comments = next((k for k, line in enumerate(lines) if not line.startswith(_COMMENT)), 0)
-    first = lines[comments] if lines else ""
-    delimiter = max(",;\t", key=first.count)
-    if delimiter not in first and len(first.split()) > 1:
-        delimiter = " "
-    decimal_comma = delimiter != "," and re.search(r"\d,\d", "".join(lines[comments + 1 :][:1]))
+    begin, delimiter = _header(lines, comments)
+    first = lines[begin] if lines else ""
+    decimal_comma = delimiter != "," and any(
+        re.search(r"\d,\d", line) for line in lines[begin + 1 : begin + 20]
+    )
     decimal = "," if decimal_comma else "."
-    names, skipped = _names(first, delimiter), comments + 1
+    names, skipped = _names(first, delimiter), begin + 1
     numbers = sum(_is_number(name, decimal) for name in names)
+    width = len(names)
     # The names may stand in the last comment.
-    above = _names(lines[comments - 1].lstrip("#% "), delimiter) if comments else []
-    if numbers == len(names) or (2 * numbers > len(names) == len(above)):
-        names, skipped = above if len(above) == len(names) else [], comments
-    width = len(_names(first, delimiter))
-    return _Dialect(tuple(names), width, delimiter, decimal, skipped, first)
+    above = _names(lines[begin - 1].lstrip("#% "), delimiter) if begin else []
+    if numbers == width or (begin == comments and 2 * numbers > width == len(above)):
+        names, skipped = above if len(above) == width else [], begin
+    before = tuple(line.strip() for line in lines[comments:begin] if line.strip())
+    if before:  # what stands between the header and the numbers: units, types, comments
+        rows = [k for k in range(begin + 1, len(lines)) if _is_row(lines[k], delimiter, decimal)]
+        under = lines[begin + 1 : rows[0]] if rows else []
+        first, skipped = "\n".join([first, *under]), rows[0] if rows else skipped
+    elif names and skipped < len(lines) and _are_units(_names(lines[skipped], delimiter), width):
+        units = _names(lines[skipped], delimiter)
+        names, skipped = (
+            [f"{n} {u}".strip() for n, u in zip(names, units, strict=True)],
+            skipped + 1,
+        )
+    cut = _last_line(path) if len(lines) > skipped + 1 else ""
+    cut = cut if 0 < len(_names(cut, delimiter)) < width and cut.strip() else ""
+    return _Dialect(tuple(names), width, delimiter, decimal, skipped, first, before, cut)
+
+
+def _header(lines: Sequence[str], first: int) -> tuple[int, str]:
+    """Which line is the header, or else the first of the table, and what is between its cells.
+
+    Args:
+        lines: the file's beginning.
+        first: the first of them that is no comment: the header, unless fewer lines have as many
+            cells as it than have another number of cells on end, below a line of names.
+    """
+    text = lines[first] if lines else ""
+    delimiter = max(",;\t", key=text.count)
+    if delimiter not in text and len(text.split()) > 1:
+        delimiter = " "
+    best, found = _LEAST_ROWS - 1, (first, delimiter)
+    for other in dict.fromkeys((delimiter, *";\t, ")):
+        width, length, begin = 0, 0, first
+        for k in range(first, len(lines)):
+            cells = len(_names(lines[k], other))
+            if not lines[k].strip():
+                continue
+            if cells != width:
+                width, length, begin = cells, 0, k
+            length += 1
+            decimal = "." if other == "," else ","
+            if begin == first:
+                fits = other == delimiter
+            else:  # names above numbers
+                rows = [_is_row(lines[j], other, decimal) for j in (begin, k)]
+                fits = width > 1 and rows == [False, True]
+            if fits and length > best:
+                best, found = length, (begin, other)
+    return found
+
+
+def _is_row(line: str, delimiter: str, decimal: str) -> bool:
+    """Whether all cells are numbers or empty, and one is a number."""
+    cells = [cell for cell in _names(line, delimiter) if cell]
+    return bool(cells) and all(_is_number(cell, decimal) for cell in cells)
+
+
+def _are_units(cells: Sequence[str], width: int) -> bool:
+    """Whether the line under the header says units in brackets, of most columns."""
+    bracketed = [bool(re.fullmatch(r"\[[^\[\]]*\]|\([^()]*\)", cell)) for cell in cells]
+    return (
+        len(cells) == width
+        and any(bracketed)
+        and all(b or not c for b, c in zip(bracketed, cells, strict=True))
+    )
+
+
+def _last_line(path: Path) -> str:
+    """The last line, where it is not very long."""
+    with open(path, "rb") as file:
+        file.seek(max(0, path.stat().st_size - _TAIL))
+        tail = file.read().decode("utf-8-sig", errors="replace").rstrip("\r\n")
+    return tail.rpartition("\n")[2].rstrip("\r")
 
 
 def _names(line: str, delimiter: str) -> list[str]:
@@ -141,8 +297,9 @@ def _read(path: Path, dialect: _Dialect, wanted: Mapping[str, str]) -> dict[str,
 
 def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) -> pa.Table:
     source: Path | io.BytesIO = path
-    delimiter = dialect.delimiter
+    delimiter, cut = dialect.delimiter, dialect.cut
     if delimiter == " ":
+        cut = "\t".join(cut.split())
         lines = path.read_text(encoding="utf-8-sig").split("\n")
         text, delimiter = "\n".join("\t".join(line.split()) for line in lines), "\t"
         source = io.BytesIO(text.encode())
@@ -153,7 +310,10 @@ def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) 
             skip_rows=dialect.skipped,
             use_threads=False,
         ),
-        parse_options=pa.csv.ParseOptions(delimiter=delimiter),
+        parse_options=pa.csv.ParseOptions(
+            delimiter=delimiter,
+            invalid_row_handler=lambda row: "skip" if cut and row.text == cut else "error",
+        ),
         convert_options=pa.csv.ConvertOptions(
             include_columns=wanted,
             column_types=dict.fromkeys(wanted, kind),

@@ -26,7 +26,7 @@ _BEST_COMPRESSION = 1032  # of deflate, which packs the arrays of npz, HDF5 and 
 
 def parquet_table(path: Path, request: Request) -> Table:
     """The table of a parquet file; a column of lists is an array."""
-    with pa.parquet.ParquetFile(path) as file:
+    with open_parquet(path) as file:
         schema, rows = file.schema_arrow, file.metadata.num_rows
     names = list(schema.names)
     columns: dict[str, Shape | None] = {
@@ -41,10 +41,15 @@ def parquet_table(path: Path, request: Request) -> Table:
     return Table(path, "parquet", columns, read, one_by_one=large, repeated=repeated(names))
 
 
+def open_parquet(path: Path) -> pa.parquet.ParquetFile:
+    """A parquet file, whose checksums are verified where it has some."""
+    return pa.parquet.ParquetFile(path, page_checksum_verification=True)
+
+
 def read_parquet_columns(path: Path, wanted: Sequence[str]) -> dict[str, np.ndarray]:
     """Columns of a parquet file by name: (T,), or (T, k) where they are lists of numbers."""
     columns: dict[str, np.ndarray] = {}
-    with pa.parquet.ParquetFile(path) as file:
+    with open_parquet(path) as file:
         # One at a time, so that only one is in memory twice.
         for name in wanted:
             table = file.read(columns=[name])
@@ -151,7 +156,7 @@ def require_held(path: Path, name: str, claimed: int, held: int) -> None:
 
 def write_parquet(columns: Columns, file: IO[bytes]) -> None:
     """Columns as parquet."""
-    pa.parquet.write_table(_table(columns), file)
+    pa.parquet.write_table(_table(columns), file, write_page_checksum=True)
 
 
 def write_csv(columns: Columns, file: IO[bytes]) -> None:

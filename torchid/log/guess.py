@@ -159,6 +159,11 @@ def commanded_columns(table: Table) -> str | None:
     return _text({"u": fitting[0]}, {}) if len(fitting) == 1 else None
 
 
+def torques_among(names: Sequence[str]) -> list[str]:
+    """Patterns of the columns that may be a torque: tau_ext_{j}, .."""
+    return [group.names[0] for group in _numbered(list(names)) if group.key == "tau"]
+
+
 def _arrays(table: Table, names: Sequence[str]) -> list[_Group]:
     """Arrays (T, n), or of unknown shape in a file that may have some."""
     found = []
@@ -276,7 +281,7 @@ def _named(names: list[str]) -> list[_Group]:
     found = []
     for (part, *_), members in families.items():
         columns = list(members.values())
-        if len(columns) < 2 or any(g.joints == len(columns) for g in _numbered(columns)):
+        if len(columns) < 2 or set(columns) == {n for g in _numbered(columns) for n in g.columns}:
             continue
         key, score = str(quantity_of([part.lower()])), looks_measured(words_of(columns[0])) - 0.2
         labels = tuple(members)

@@ -1,4 +1,5 @@
-"""Tables in JSON lines: an object a line, of numbers, lists of numbers and objects of these.
+"""Tables in JSON lines: an object a line, of numbers, lists of numbers and objects of these; and in
+JSON, a list of such objects.
 
 What is within objects has dots in its name, `state.q`. Lists beside one of joint names, as in a
 message of joint states, become a column for each joint, `elbow.position`; a stamp of sec and
@@ -18,22 +19,63 @@ from torchid.errors import LogError
 from torchid.log.table import Request, Table
 
 _NAMES = ("name", "names", "joint_names", "joints")
+_ROW = '{"t": 0.0, "q": [0.1, 0.2], "tau": [1.0, 2.0]}'
+_RECORDS = f"a list of objects, or one in an object: [{_ROW}, ..]"
 _STAMPS = (("sec", "nanosec"), ("secs", "nsecs"))
 
 
 def json_lines_table(path: Path, request: Request) -> Table:
     """The table of a file of JSON lines; a value that a line lacks is NaN.
 
-    Lines that share no key with most of them, such as a header, are left out with a warning.
+    Lines that share no key with most of them, such as a header, are left out with a warning, and so
+    is a last line that is cut.
 
     Raises:
         LogError: a line that is no JSON object, lists of different lengths, or no numbers.
     """
     rows: dict[int, dict[str, Any]] = {}
     with open(path, encoding="utf-8-sig") as file:
-        for number, line in enumerate(file, start=1):
-            if line.strip():
-                rows[number] = _row(path, number, line)
+        lines = {k: line for k, line in enumerate(file, start=1) if line.strip()}
+    cut = ""
+    for number, line in lines.items():
+        try:
+            rows[number] = dict(_flat("", _object(path, f", line {number}", json.loads(line))))
+        except ValueError as error:
+            if len(rows) < len(lines) - 1 or not rows:
+                raise _no_row(path, f", line {number}", f"not JSON: {error}", line) from None
+            cut = f"'{path}': line {number} ends too soon, and is left out"
+    return _table(path, "JSON lines", "line", rows, (cut,) * bool(cut))
+
+
+def json_table(path: Path, request: Request) -> Table:
+    """The table of a JSON file: a list of objects, or the only such list in an object.
+
+    Raises:
+        LogError: no JSON, no such list, or as `json_lines_table`.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise LogError(f"'{path}' is not JSON.", got=str(error), expected=_RECORDS) from error
+    inside = data.items() if isinstance(data, Mapping) else [("", data)]
+    lists = {k: x for k, x in inside if isinstance(x, list) and x and isinstance(x[0], Mapping)}
+    if len(lists) != 1:
+        raise LogError(
+            f"'{path}' has no table: {len(lists) or 'no'} lists of objects.",
+            got=", ".join(lists) or type(data).__name__,
+            expected=_RECORDS,
+        )
+    records = next(iter(lists.values()))
+    rows = {
+        k: dict(_flat("", _object(path, f", entry {k}", record)))
+        for k, record in enumerate(records, start=1)
+    }
+    return _table(path, "JSON", "entry", rows)
+
+
+def _table(
+    path: Path, kind: str, word: str, rows: dict[int, dict[str, Any]], said: tuple[str, ...] = ()
+) -> Table:
     usual = Counter(map(tuple, rows.values())).most_common(1)[0][0] if rows else ()
     apart = [number for number, row in rows.items() if not row.keys() & set(usual)]
     for number in apart:
@@ -42,22 +84,22 @@ def json_lines_table(path: Path, request: Request) -> Table:
     arrays = {name: _array(path, name, rows) for name in names}
     if not any(array.dtype.kind in "if" for array in arrays.values()):
         raise LogError(f"'{path}' has no numbers.", got=", ".join(names) or "no lines")
-    said = f"'{path}': line {', '.join(map(str, apart[:5]))} has other keys: left out"
-    return Table.in_memory(path, "JSON lines", arrays, warnings=(said,) * bool(apart))
+    if apart:
+        which = ", ".join(map(str, apart[:5]))
+        said = (*said, f"'{path}': {word} {which} has other keys: left out")
+    return Table.in_memory(path, kind, arrays, warnings=said)
 
 
-def _row(path: Path, number: int, line: str) -> dict[str, Any]:
-    try:
-        values, why = json.loads(line), "no JSON object"
-    except ValueError as error:
-        values, why = None, f"not JSON: {error}"
+def _object(path: Path, where: str, values: Any) -> Mapping[str, Any]:
     if not isinstance(values, Mapping):
-        raise LogError(
-            f"'{path}', line {number}: {why}.",
-            got=line.strip()[:60],
-            expected='an object a line: {"t": 0.0, "q": [0.1, 0.2], "tau": [1.0, 2.0]}',
-        )
-    return dict(_flat("", values))
+        raise _no_row(path, where, "no JSON object", json.dumps(values))
+    return values
+
+
+def _no_row(path: Path, where: str, why: str, text: str) -> LogError:
+    return LogError(
+        f"'{path}'{where}: {why}.", got=text.strip()[:60], expected=f"an object a row: {_ROW}"
+    )
 
 
 def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -1,6 +1,6 @@
 """Logs from files, folders and tables in memory, and to files.
 
-Read: .parquet, .csv, .npz, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE.
+Read: .parquet, .csv, .npz, .json, .jsonl, .mat, .h5; ROS bags; LeRobot datasets; motions of SAGE.
 Columns that have the names of `torchid.log.columns` are found by themselves; others by a mapping
 (`torchid.log.mapping`). Written: .parquet, .csv and .npz.
 """
@@ -33,11 +33,12 @@ from torchid.log.formats import (
     write_parquet,
 )
 from torchid.log.hdf5 import hdf5_table, matlab_table
-from torchid.log.json_lines import json_lines_table
+from torchid.log.json_lines import json_lines_table, json_table
 from torchid.log.lerobot import is_lerobot, lerobot_table
 from torchid.log.mapping import ColumnMapping, read_mapping
 from torchid.log.ros import bag_table, is_bag_folder
 from torchid.log.sage import is_sage, sage_table
+from torchid.log.side_files import with_side_files
 from torchid.log.table import AbsentColumnError, Request, Table
 
 Opener = Callable[[Path, Request], Table]
@@ -194,7 +195,7 @@ def open_log(
         return None, path
     found = require_log(path)
     try:
-        table = _table(found, path, request)
+        table = _joined(found, path, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
@@ -215,7 +216,7 @@ def require_header(path: Path, request: Request) -> None:
     """
     opener = require_log(path)
     if opener is csv_table or opener is parquet_table:
-        table = _table(opener, path, request)
+        table = _joined(opener, path, request)
         require_columns(table, request.columns)
 
 
@@ -295,6 +296,14 @@ def require_log(path: Path) -> Opener:
     return _TABLES[suffix]
 
 
+def _joined(opener: Opener, path: Path, request: Request) -> Table:
+    """What a file holds, with the files beside it that the mapping names."""
+    table = _table(opener, path, request)
+    if request.columns is None:
+        return table
+    return with_side_files(table, request.columns, lambda f: _table(csv_table, f, request))
+
+
 def _table(opener: Opener, path: Path, request: Request) -> Table:
     """What a file holds, with one error for whatever its library stumbles over, now or when its
     arrays are read."""
@@ -341,14 +350,14 @@ def _inside(folder: Path) -> list[str] | None:
 
 
 def is_log(path: Path) -> bool:
-    """Whether it looks like a log by its name; most texts are none."""
+    """Whether it looks like a log by its name; most texts are none, nor most JSON."""
     if path.is_dir():
         return any(fits(path) for fits, _ in _FOLDERS)
-    return path.suffix.lower() in set(_TABLES) - {".txt", ".dat"}
+    return path.suffix.lower() in set(_TABLES) - {".txt", ".dat", ".json"}
 
 
 _CONVERT = dict.fromkeys(
-    (".ipynb", ".pkl", ".pickle", ".npy", ".pt", ".json", ".xlsx"),
+    (".ipynb", ".pkl", ".pickle", ".npy", ".pt", ".xlsx"),
     "write it as columns t, q1.., tau1..; in Python: DataFrame(..).to_csv('run.csv', index=False)",
 )
 """What to do with files that people have their logs in, and that no reader is for."""
@@ -362,6 +371,7 @@ _TABLES: dict[str, Opener] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), csv_table),
     ".npz": npz_table,
     **dict.fromkeys((".jsonl", ".ndjson"), json_lines_table),
+    ".json": json_table,
     ".mat": matlab_table,
     **dict.fromkeys((".h5", ".hdf5", ".hdf"), hdf5_table),
     **dict.fromkeys((".bag", ".mcap", ".db3"), bag_table),

@@ -5,6 +5,8 @@ beside them are trajectory_msgs/JointTrajectory, or joint states in a topic whos
 they are commanded (`/leader/joint_states`).
 """
 
+import struct
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,6 +27,9 @@ _TYPE = "sensor_msgs/msg/JointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _OTHER_CLOCK_S = 1.0  # stamps that lag by so much more than others are of another clock
 _SIGNALS = ("position", "velocity", "effort")
+_MAGIC = b"\x89MCAP0\r\n"
+_FOOTER, _DATA_END = struct.Struct("<BQQQI"), struct.Struct("<BQI")
+"""Records at the end of an MCAP: opcode, length, places of the summary, and checksums."""
 _LOOKED_AT = 10  # messages of a topic, to see what it has: the first may be incomplete
 
 
@@ -117,6 +122,9 @@ def _opened(path: Path) -> Iterator[Any]:
     except ImportError as error:
         raise MissingExtraError("rosbags", "ros", f"reading '{path}'") from error
     try:
+        for file in [path] if path.is_file() else sorted(path.iterdir()):
+            if file.suffix.lower() == ".mcap":
+                _require_checksums(file)
         # Recordings before ROS 2 Iron do not say what a message looks like.
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             yield bag
@@ -130,6 +138,37 @@ def _opened(path: Path) -> Iterator[Any]:
             got=(str(error).splitlines() or [type(error).__name__])[0][:200],
             hint=f"a recording that was cut off may be mended by {mend}",
         ) from error
+
+
+def _require_checksums(file: Path) -> None:
+    """That the sections of an MCAP have the checksums that it says, where it says some; those of
+    its chunks rosbags looks at.
+
+    Raises:
+        ValueError: they have not.
+    """
+    size = file.stat().st_size
+    with open(file, "rb") as stream:
+        stream.seek(max(0, size - _FOOTER.size - len(_MAGIC)))
+        footer = stream.read(_FOOTER.size)
+        if len(footer) < _FOOTER.size or footer[0] != 0x02 or stream.read() != _MAGIC:
+            return  # cut off: what can be read is
+        summary, summary_crc = _FOOTER.unpack(footer)[2::2]
+        last = size - _FOOTER.size - len(_MAGIC)
+        ends = (summary or last) - _DATA_END.size
+        if not 0 <= ends < last:
+            raise ValueError("its footer says where no section is")
+        stream.seek(ends)
+        kind, _, data_crc = _DATA_END.unpack(stream.read(_DATA_END.size))
+        sections = [("data", 0, ends, data_crc if kind == 0x0F else 0)]
+        sections.append(("summary", summary or last, size - len(_MAGIC) - 4, summary_crc))
+        for name, begin, end, expected in sections:
+            stream.seek(begin)
+            found, left = 0, end - begin if expected else 0
+            while piece := stream.read(min(left, 1 << 20)):
+                found, left = zlib.crc32(piece, found), left - len(piece)
+            if expected and found != expected:
+                raise ValueError(f"the checksum of its {name} is wrong: bits have changed")
 
 
 def _topics(bag: Any) -> tuple[Topic, ...]:

@@ -94,9 +94,9 @@ class Table:
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
-    """A key that sorts numbers within names by their value: joint2 before joint10."""
+    """A key that sorts numbers within names by value, of any length: joint2 before joint10."""
     return [
-        (0, int(part), "") if part.isdecimal() else (1, 0, part)
+        (0, len(part.lstrip("0")), part.lstrip("0")) if part.isdecimal() else (1, 0, part)
         for part in re.split(r"(\d+)", text)
         if part
     ]

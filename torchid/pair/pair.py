@@ -29,6 +29,7 @@ from torchid.gap.noise.spectrum import white_level
 from torchid.gap.record import NoiseFloor
 from torchid.gap.settings import GapSettings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
+from torchid.log.checks import check_finite
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
 from torchid.pair.align import AlignedTrajectory, aligned_trajectories
@@ -134,6 +135,8 @@ def compare_pair(
     """
     robot = None if robot is None else as_robot(robot)
     simulated, real = as_log(simulated, robot), as_log(real, robot)
+    for log in (simulated, real):
+        check_finite(log)
     settings = settings or GapSettings()
     say = progress or (lambda stage, done, total: None)
     if robot is not None:

@@ -43,10 +43,9 @@ class Store:
         try:
             memory = Memory(self.place, backend=backend, compress=1, verbose=0)
             return memory.cache(_answer, ignore=["compute"])
-        except OSError as error:
-            raise TorchidError(
-                f"the folder '{self.place}' cannot be made: {error.strerror or error}."
-            ) from error
+        except (OSError, ValueError, ImportError) as error:  # no such protocol, or its package
+            said = getattr(error, "strerror", None) or error
+            raise TorchidError(f"the folder '{self.place}' cannot be made: {said}.") from error
 
     def __contains__(self, key: str) -> bool:
         return self._kept.check_call_in_cache(key, None)

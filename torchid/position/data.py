@@ -10,6 +10,7 @@ from torchid.dynamics.forward import gravity_torque
 from torchid.errors import LogError
 from torchid.log.checks import (
     SLOW_STEP_S,
+    check_finite,
     check_joints,
     own_units,
     refuse_time,
@@ -309,14 +310,7 @@ def prepare(
             joint that moves, or less than `SHORTEST_S`.
     """
     check_joints(log, robot.name, robot.n)
-    if not bool(log.q.isfinite().all()):
-        rows, joints = (~log.q.isfinite()).nonzero().T
-        raise LogError(
-            f"{log.label} has positions that are no numbers.",
-            got=f"{len(rows)} values, the first in q{int(joints[0]) + 1}, row {int(rows[0]) + 1}",
-            expected="a number in every row",
-            hint="cut out those rows, and number the parts in a column traj",
-        )
+    check_finite(log, commands=False)
     if scale is None:
         units = own_units(log)
         scale = torch.tensor([units.get(j, 1.0) for j in range(log.n)], dtype=torch.float64)

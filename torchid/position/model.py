@@ -121,7 +121,9 @@ class ServoArm:
         path = Path(name)
         if path.suffix.lower() not in (".yaml", ".yml") or not path.is_file():
             return None
-        return cls.read(path) if isinstance(parsed_yaml(path).get(KEY), dict) else None
+        data = parsed_yaml(path)
+        fitted = isinstance(data, dict) and isinstance(data.get(KEY), dict)
+        return cls.read(path) if fitted else None
 
     @property
     def yaml(self) -> str:

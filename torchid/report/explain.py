@@ -19,10 +19,27 @@ MOST_CHARACTERS = 60
 """Of a cell."""
 
 
+class _StoredTable(msgspec.Struct):
+    """What `Table.plain` gave."""
+
+    title: str
+    columns: list[str]
+    names: list[str]
+    words: list[str]
+    rows: list[list[str]]
+    note: str
+
+    def table(self) -> Table:
+        """The table again."""
+        kinds = dict.fromkeys(self.names, "l") | dict.fromkeys(self.words, "p")
+        align = "".join(kinds.get(name, "r") for name in self.columns)
+        return Table(self.title, self.columns, self.rows, align, self.note)
+
+
 class _Explanation(msgspec.Struct):
     """What was printed of a result."""
 
-    parts: list[dict[str, Any] | str]
+    parts: list[_StoredTable | str]
     verdict: str = ""
     warnings: tuple[str, ...] = ()
     last: str = ""
@@ -54,7 +71,7 @@ def report_of_file(path: Path) -> tuple[dict[str, Any], Report]:
         screen = Screen(
             answer=stored.answer, band=stored.band_hz, warnings=own.warnings, model=own.last
         )  # fmt: skip
-    parts = [part if isinstance(part, str) else Table.read(part) for part in own.parts]
+    parts = [part if isinstance(part, str) else part.table() for part in own.parts]
     said = Report(
         screen=screen, verdict=own.verdict, parts=parts, warnings=own.warnings, last=own.last
     )

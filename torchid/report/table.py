@@ -127,14 +127,6 @@ class Table:
         head = {"title": self.title, "note": printed.note, "columns": list(self.columns)}
         return {**head, "names": names, "words": words, "rows": rows}
 
-    @classmethod
-    def read(cls, stored: Mapping[str, Any]) -> "Table":
-        """What `plain` gave."""
-        columns = stored["columns"]
-        kinds = dict.fromkeys(stored["names"], "l") | dict.fromkeys(stored["words"], "p")
-        align = "".join(kinds.get(name, "r") for name in columns)
-        return cls(stored["title"], columns, stored["rows"], align, stored["note"])
-
 
 @dataclass(frozen=True)
 class InputFile:

@@ -132,10 +132,9 @@ def contents(path: Path, what: str, hint: str | None = None) -> bytes:
     """
     try:
         return path.read_bytes()
-    except OSError as error:
-        raise TorchidError(
-            f"'{path}' cannot be read: {error.strerror or error}.", expected=what, hint=hint
-        ) from error
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        said = getattr(error, "strerror", None) or error
+        raise TorchidError(f"'{path}' cannot be read: {said}.", expected=what, hint=hint) from error
 
 
 def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | None = None) -> Any:

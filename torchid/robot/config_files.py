@@ -58,12 +58,11 @@ def require_robot_file(name: str | Path) -> Path:
     known = path.suffix.lower() in ROBOT_FILES
     if known and path.is_file():
         return path
-    near = similar_files(path, ROBOT_FILES)
+    near = [] if path.exists() else similar_files(path, ROBOT_FILES)
     hint = f"did you mean {near[0]}?" if near else None
     if known:
-        raise RobotError(
-            f"robot file '{text}' does not exist.", available=built_in_robots(), hint=hint
-        )
+        wrong = "is no regular file" if path.exists() else "does not exist"
+        raise RobotError(f"robot file '{text}' {wrong}.", available=built_in_robots(), hint=hint)
     if path.suffix.lower() == ".json":
         hint = f"a result becomes a robot by `torchid export {text} --to urdf` (or mjcf, yaml)"
     raise RobotError(

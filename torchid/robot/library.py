@@ -32,7 +32,7 @@ def load_robot(
     """A robot by built-in name, or from a torchid .yaml, .urdf or .xml (MJCF) file.
 
     A URDF or MJCF is read whole, with all its branches, unless a part is chosen. A xacro
-    file of any name is expanded by the package `xacro`, or the command of that name.
+    file of any name is a program and is not run: the error has the line that expands it.
 
     Args:
         name: `3r`, `kuka_lwr4`, ... or a path.

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchid.errors import RobotError
 from torchid.robot.assemble import assemble
+from torchid.robot.mjcf_files import require_end
 from torchid.robot.model import Robot
 from torchid.robot.placement import pose, quaternion
 from torchid.robot.spec import FAILURES, listening, name_parts, spec_tree
@@ -97,13 +98,14 @@ def compiled(path: Path) -> Compiled:
     Meshes, height fields, skins and textures whose files are absent are left out, with a warning.
 
     Raises:
-        RobotError: no MJCF, MuJoCo cannot compile it, or a moving body's mass or inertia would
-            come from an absent mesh.
+        RobotError: no MJCF, MuJoCo cannot compile it or would not end (`require_end`), or a
+            moving body's mass or inertia would come from an absent mesh.
     """
     root = parse_xml(path)
     if root.tag != "mujoco":
         hint = "this is a URDF: give it the suffix .urdf" if root.tag == "robot" else None
         raise RobotError(f"{path}: not MJCF.", got=f"<{root.tag}>", expected="<mujoco>", hint=hint)
+    require_end(path)
     said, spec, shaped = listening(), None, None
     try:
         spec = mujoco.MjSpec.from_file(str(path))

@@ -1,11 +1,8 @@
 """XML files of robots: parsed from bytes, and their numbers read as float64 or refused by name."""
 
-import importlib.util
 import math
-import shutil
-import subprocess
-import sys
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import torch
@@ -18,7 +15,6 @@ from torchid.robot.placement import pose, quaternion, roll_pitch_yaw
 TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Attributes of a URDF's <inertia>, in torchid's order."""
 _XACRO = "ros.org/wiki/xacro"
-_PACKAGE = "import sys, xacro; print(xacro.process_file(sys.argv[1]).toprettyxml())"
 EXPAND = "expand it: `xacro a.urdf.xacro > a.urdf`"
 
 
@@ -40,14 +36,30 @@ def content_of(path: Path) -> bytes:
     """An XML file's content, or a RobotError.
 
     In bytes, for an encoding declaration in a str is an error. Some exporters leave blank lines
-    before the declaration, which every URDF reader forgives. Xacro of any name is expanded.
+    before the declaration, which every URDF reader forgives. Xacro of any name is refused: it is a
+    program, which runs code, and reads files and the environment.
     """
+    require_regular(path)
     try:
         content = path.read_bytes().lstrip()
     except OSError as error:
         raise RobotError(f"'{path}' cannot be read: {error.strerror or error}.") from error
-    macro = _macro(content, path.suffix.lower() == ".xacro")
-    return content if macro is None else _expanded(path, macro)
+    if (macro := _macro(content, path.suffix.lower() == ".xacro")) is not None:
+        plain = path.with_name(f"{path.name.split('.')[0]}.urdf")
+        plain = plain if plain != path else path.with_name(f"{path.stem}_expanded.urdf")
+        raise RobotError(
+            f"'{path}' is a xacro file: a program, which torchid does not run.",
+            got=macro,
+            expected="a URDF",
+            hint=f"expand it where you trust it: xacro {quote(str(path))} > {quote(str(plain))}",
+        )
+    return content
+
+
+def require_regular(path: Path) -> None:
+    """Raise RobotError for a pipe, a device or a socket, whose content may have no end."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise RobotError(f"'{path}' is no regular file.", got="a pipe, a device or a socket")
 
 
 def _macro(content: bytes, named: bool) -> str | None:
@@ -62,27 +74,6 @@ def _macro(content: bytes, named: bool) -> str | None:
         if _XACRO in space or name.startswith("xacro:"):
             return f"<xacro:{name.removeprefix('xacro:')}> on line {element.sourceline}"
     return "macros" if named and (b"${" in content or b"$(" in content) else None
-
-
-def _expanded(path: Path, macro: str) -> bytes:
-    """The URDF that a xacro file stands for, by the package or the command of that name."""
-    command = [shutil.which("xacro") or ""]
-    package = importlib.util.find_spec("xacro")
-    if package is not None and package.origin is not None:  # no folder of that name
-        command = [sys.executable, "-c", _PACKAGE]
-    if not command[0]:
-        plain = path.with_name(f"{path.name.split('.')[0]}.urdf")
-        plain = plain if plain != path else path.with_name(f"{path.stem}_expanded.urdf")
-        raise RobotError(
-            f"'{path}' is a xacro file, and xacro is not installed.",
-            got=macro,
-            hint=f"to expand it: pip install xacro; or, where it is: xacro {path} > {plain}",
-        )
-    done = subprocess.run([*command, str(path)], capture_output=True, check=False)
-    if done.returncode != 0:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise RobotError(f"xacro cannot expand '{path}'.", got=said[-1] if said else None)
-    return done.stdout.lstrip()
 
 
 def parsed(data: bytes, path: Path, **options: bool) -> Any:
