@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from torchid.fleet.factors import STRETCH, in_stretches
 from torchid.log.columns import is_wanted, log_from_columns
-from torchid.log.formats import from_arrow, open_parquet, parquet_table
+from torchid.log.formats import from_arrow, open_parquet
 from torchid.log.model import Log
 from torchid.log.readers import guarded, open_log
 from torchid.log.table import Request
