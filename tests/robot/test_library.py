@@ -62,7 +62,7 @@ def test_a_missing_file_is_told(tmp_path, suffix):
 def test_a_folder_is_not_a_robot(tmp_path):
     folder = tmp_path / "r.urdf"
     folder.mkdir()
-    with pytest.raises(RobotError, match="does not exist"):
+    with pytest.raises(RobotError, match="is no regular file"):
         load_robot(folder)
 
 
