@@ -193,8 +193,8 @@ def files() -> Iterator[tuple[str, bytes]]:
         yield f"copies{k}.xml", mjcf("<worldbody>", f'<worldbody><replicate count="{count}"/>')
         yield f"keys{k}.xml", mjcf("<worldbody>", f'<size nkey="{count}"/><worldbody>')
     yield "field.xml", mjcf("<worldbody>", f"<asset>{FIELD}</asset><worldbody>")
-    for k, copies in enumerate((COPIES, f"<replicate count='200'>{COPIES}</replicate>")):
-        yield f"bodies{k}.xml", mjcf("<worldbody>", f"<worldbody>{copies}")
+    copies = f"<replicate count='200'>{COPIES}</replicate>"
+    yield "bodies.xml", mjcf("<worldbody>", f"<worldbody>{copies}")
     for name in ("a", "b"):  # a model that attaches the other one
         other = f"attach_{'b' if name == 'a' else 'a'}.xml"
         yield f"attach_{name}.xml", mjcf("<worldbody>", ATTACH.format(other))

@@ -154,7 +154,8 @@ def read(path: Path) -> None:
     if path.suffix == ".csv":
         with suppress(TorchidError):
             read_manifest(path)
-    use(found, path)
+    with suppress(TorchidError):  # what is no log of this arm, or too old, may say so
+        use(found, path)
 
 
 def use(found: object, path: Path) -> None:

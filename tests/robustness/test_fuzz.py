@@ -23,12 +23,17 @@ def good(tmp_path_factory):
     return folder, seeds(folder)
 
 
+REFUSED = ("merged.yaml", "fleet.csv")
+"""Of the files that are changed those that are no log, robot, model or result as they are."""
+
+
 @pytest.mark.slow
 def test_good_files_are_read(good) -> None:
     """Else changes of them would tell nothing."""
     folder, files = good
     for name, content in files.items():
-        read(placed(folder, name, content)[1])
+        if name not in REFUSED:
+            read(placed(folder, name, content)[1])
 
 
 @pytest.mark.nightly
