@@ -40,6 +40,7 @@ def demo_command(
         demo = demonstrate(files, seed, progress)
     paged = Output(report=folder / "gap.html", quiet=True)
     paged.keep(demo.diagnosis, "gap.json", diagnosis.report_of_diagnosis, seed=seed, files=inputs)
+    output.staged.extend(paged.staged)
     output.put(folder / "gap.json", demo.diagnosis.save)
     output.put(folder / "identification.json", demo.identification.save)
     output.give(demo.plain(), "demo.json", lambda _: report_of_demo(demo))
