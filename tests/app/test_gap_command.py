@@ -119,12 +119,12 @@ def test_friction_is_found_and_the_saved_model_has_it(command, runs, tmp_path, t
 
 
 def test_ctrl_c_keeps_the_answer_that_stood(command, runs, tmp_path, monkeypatch):
-    """Of a search that is stopped behind its first answer."""
+    """Of a diagnosis that is stopped behind its search."""
 
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchid.gap.torque.explain_gap", stopped)
+    monkeypatch.setattr("torchid.gap.torque.explanation_of", stopped)
     logs = [runs / f"{name}.csv" for name in ("a", "b")]
     done = command("gap", "3r", *logs, *FEW, "--out", tmp_path)
     assert done.code == 130
@@ -141,7 +141,7 @@ def test_ctrl_c_writes_over_no_whole_answer(command, runs, tmp_path, monkeypatch
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchid.gap.torque.explain_gap", stopped)
+    monkeypatch.setattr("torchid.gap.torque.explanation_of", stopped)
     out = tmp_path / "out"
     out.mkdir()
     for file in (tmp_path / "a.json", out / "gap.json", out / "gap_joint_1.png"):

@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from torchid.design.bodies import Prior, Priors
+from torchid.design.bodies import Prior
 from torchid.design.gram import Gram, Normal, Subset, inverse_root
 from torchid.typing import Tensor
 
-COMMON, OWN, ROWS, PARTS = 3, (2, 4), 120, 3
+COMMON, OWN, ROWS = 3, (2, 4), 120
 WEIGHT = torch.tensor([0.5, 4.0], dtype=torch.float64)
 
 
@@ -23,24 +23,19 @@ class Problem:
         self.columns[1][-1] = 0.0  # the last column of joint 2 is nowhere
         self.y = random(2, ROWS, seed=7)
         self.keep = random(2, ROWS, seed=8) > -1
-        self.part = (random(ROWS, seed=9) > 0).long() + (random(ROWS, seed=10) > 1).long()
-        self.gram = Gram(COMMON, len(OWN), PARTS)
+        self.gram = Gram(COMMON, len(OWN))
         for j, a in enumerate(self.columns):
             # In pieces, as effects come, and in two goes, as logs do.
             pieces = [a[:COMMON], a[COMMON : COMMON + 1], a[COMMON + 1 :]]
             for rows in (slice(0, 50), slice(50, ROWS)):
                 some = [p[:, rows] for p in pieces]
-                keep, part = self.keep[j, rows], self.part[rows]
-                self.gram.add(j, some, self.y[j, rows], keep, part)
+                self.gram.add(j, some, self.y[j, rows], self.keep[j, rows])
 
-    def stacked(
-        self, subset: Subset, parts: tuple[int, ...], weight: Tensor
-    ) -> tuple[Tensor, Tensor]:
+    def stacked(self, subset: Subset, weight: Tensor) -> tuple[Tensor, Tensor]:
         """Rows (R, K) and target (R,) of all joints, by hand."""
-        chosen = torch.isin(self.part, torch.tensor(parts))
         rows, targets = [], []
         for j, at in enumerate(subset.at):
-            here = chosen & self.keep[j]
+            here = self.keep[j]
             every = torch.cat([self.columns[j], self.y[j : j + 1]])[:, here]
             rows.append(weight[j].sqrt() * (every[at] * (at >= 0).unsqueeze(1)).T)
             target = every[-1].clone()
@@ -63,17 +58,11 @@ def subset(replaced: float = 0.0) -> Subset:
     return Subset(at, ((1, torch.tensor([COMMON + 1]), torch.tensor([replaced]).double()),))
 
 
-PARTED = [((0, 1, 2), None), ((0, 2), (0, 2)), ((1,), (1,))]
-
-
-@pytest.mark.parametrize(("parts", "over"), PARTED)
 @pytest.mark.parametrize("replaced", [0.0, 2.5])
-def test_a_fit_is_that_of_all_rows(
-    problem: Problem, parts: tuple[int, ...], over: tuple[int, ...] | None, replaced: float
-) -> None:
+def test_a_fit_is_that_of_all_rows(problem: Problem, replaced: float) -> None:
     chosen = subset(replaced)
-    normal = problem.gram.over(over)
-    a, y = problem.stacked(chosen, parts, WEIGHT)
+    normal = problem.gram.normal
+    a, y = problem.stacked(chosen, WEIGHT)
     expected = torch.linalg.lstsq(a, y).solution
     solved = normal.of(chosen).solve(WEIGHT)
     assert torch.allclose(solved.x, expected, atol=1e-9)
@@ -88,28 +77,26 @@ def test_a_fit_is_that_of_all_rows(
 
 def test_losses_are_those_of_each_joint_whatever_the_coefficients(problem: Problem) -> None:
     chosen, x = subset(1.5), random(5, seed=11)
-    found = problem.gram.over([0]).of(chosen).losses(x)
+    found = problem.gram.normal.of(chosen).losses(x)
     for j in range(2):
         alone = torch.zeros(2, dtype=torch.float64)
         alone[j] = 1.0
-        a, y = problem.stacked(chosen, (0,), alone)
+        a, y = problem.stacked(chosen, alone)
         assert float(found[j]) == pytest.approx(float((y - a @ x).square().sum()))
 
 
 def test_rows_are_those_that_count(problem: Problem) -> None:
-    assert problem.gram.over().rows.tolist() == problem.keep.sum(1).tolist()
-    one, rest = problem.gram.over([0]).rows, problem.gram.over([1, 2]).rows
-    assert (one + rest).tolist() == problem.keep.sum(1).tolist()
+    assert problem.gram.normal.rows.tolist() == problem.keep.sum(1).tolist()
     assert problem.gram.n == 2
 
 
 def test_a_ridge_is_a_row_more_for_every_coefficient(problem: Problem) -> None:
     ridge = torch.tensor([3.0, 0.0, 50.0, 1e3, 2.0], dtype=torch.float64)
     chosen = subset()
-    a, y = problem.stacked(chosen, (0, 1, 2), WEIGHT)
+    a, y = problem.stacked(chosen, WEIGHT)
     more = torch.cat([a, ridge.sqrt().diag()]), torch.cat([y, torch.zeros(5, dtype=torch.float64)])
     expected = torch.linalg.lstsq(*more).solution
-    found = Prior(ridge).solve_of(problem.gram.over().of(chosen), WEIGHT).x
+    found = Prior(ridge).solve_of(problem.gram.normal.of(chosen), WEIGHT).x
     assert torch.allclose(found, expected, atol=1e-9)
 
 
@@ -119,7 +106,7 @@ def zeros_too() -> Subset:
 
 
 def test_a_column_of_zeros_has_no_coefficient_and_changes_no_other(problem: Problem) -> None:
-    normal = problem.gram.over()
+    normal = problem.gram.normal
     found = normal.of(zeros_too()).solve(WEIGHT)
     assert float(found.x[5]) == 0.0
     assert float(found.root[5].abs().max()) == 0.0
@@ -129,48 +116,20 @@ def test_a_column_of_zeros_has_no_coefficient_and_changes_no_other(problem: Prob
 def test_of_equal_columns_nothing_is_told_apart(problem: Problem) -> None:
     """They share what either would have, and nothing becomes large."""
     a = problem.columns[0][:1]
-    gram = Gram(0, 1, 1)
-    gram.add(0, [a, a], problem.y[0], problem.keep[0], torch.zeros(ROWS, dtype=torch.long))
-    found = gram.over().of(Subset(torch.tensor([[0, 1]]))).solve(WEIGHT[:1]).x
-    alone = gram.over().of(Subset(torch.tensor([[0]]))).solve(WEIGHT[:1]).x
+    gram = Gram(0, 1)
+    gram.add(0, [a, a], problem.y[0], problem.keep[0])
+    found = gram.normal.of(Subset(torch.tensor([[0, 1]]))).solve(WEIGHT[:1]).x
+    alone = gram.normal.of(Subset(torch.tensor([[0]]))).solve(WEIGHT[:1]).x
     assert torch.allclose(found, 0.5 * alone.expand(2), rtol=1e-6)
 
 
 def test_no_columns_leave_all(problem: Problem) -> None:
-    normal: Normal = problem.gram.over()
+    normal: Normal = problem.gram.normal
     nothing = Subset(torch.zeros(2, 0, dtype=torch.long))
     solved = normal.of(nothing).solve(WEIGHT)
     assert len(solved.x) == 0
     kept = (problem.y * problem.keep).square().sum(1)
     assert torch.allclose(normal.of(nothing).losses(solved.x), kept)
-
-
-def test_several_fits_at_once_are_those_of_each(problem: Problem) -> None:
-    normal = problem.gram.over()
-    chosen = [subset(1.5), zeros_too(), Subset(subset().at[:, :2])]
-    ridges = [torch.full((s.count,), 0.5 + k).double() for k, s in enumerate(chosen)]
-    priors = [Prior(ridge, centre=0.1 * ridge) for ridge in ridges]
-    together, weight = normal.of_each(chosen), WEIGHT.expand(len(chosen), -1)
-    solved = Priors(priors).solve_of(together, weight)
-    known, losses = Priors(priors).value(solved.x), together.losses(solved.x)
-    for k, (s, prior) in enumerate(zip(chosen, priors, strict=True)):
-        own, alone = slice(s.count), prior.solve_of(normal.of(s), WEIGHT)
-        assert torch.allclose(solved.x[k, own], alone.x, atol=1e-12)
-        spread = solved.root[k, own, own] @ solved.root[k, own, own].T
-        assert torch.allclose(spread, alone.root @ alone.root.T, atol=1e-12)
-        assert torch.allclose(losses[k], normal.of(s).losses(alone.x))
-        assert float(known[k]) == pytest.approx(prior.value(alone.x))
-        assert not solved.x[k, s.count :].any()
-
-
-def test_each_fold_is_judged_by_the_sums_of_the_others(problem: Problem) -> None:
-    fitted, judged = problem.gram.folds().of(subset(2.5))
-    for k, part in enumerate((1, 2)):
-        for found, over in ((judged[k], part), (fitted[k], 3 - part)):
-            expected = problem.gram.over([over]).of(subset(2.5))
-            assert torch.allclose(found.a, expected.a, atol=1e-12)
-            assert torch.allclose(found.b, expected.b, atol=1e-12)
-            assert torch.allclose(found.squares, expected.squares)
 
 
 @pytest.mark.parametrize("close", [1e-1, 1e-3, 1e-5])

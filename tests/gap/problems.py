@@ -83,7 +83,6 @@ def question_of(
     *,
     given: Sequence[Valued] = (),
     extra: Sequence[Effect] = (),
-    parts: Tensor | None = None,
     columns: Columns | None = None,
     free: bool = False,
     inertial: bool = False,
@@ -95,12 +94,10 @@ def question_of(
     torque = [columns.model.torque(s, data.samples) for s in data.segments]
     tau = [s.tau for s in data.segments]
     gap = data.samples.of([(a - b).T for a, b in zip(tau, torque, strict=True)])
-    if parts is None:
-        parts = torch.zeros(len(data.samples), dtype=torch.long)
     wanted = wanted_of(names, free=free, inertial=inertial)
     model = Model(ROBOT, tuple(given))
-    found = candidates_of(columns, gap, data, wanted, parts, model, tuple(extra))
-    return Question(found, found.gram.over(), settings)
+    found = candidates_of(columns, gap, data, wanted, model, tuple(extra))
+    return Question(found, found.gram.normal, settings)
 
 
 def two_folds(data: Data) -> Tensor:

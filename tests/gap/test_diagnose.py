@@ -414,3 +414,10 @@ def test_an_answer_stands_before_the_search_is_over():
     headline = case("coulomb").answer.headline
     assert {a.status for a in WATCHED} == {"searching"}
     assert headline not in {a.headline for a in WATCHED}
+    first, last = WATCHED[0], WATCHED[-1]
+    assert first.causes == ()
+    assert [(c.effect, c.joints) for c in last.causes] == [("coulomb_friction", (1,))]
+    assert last.causes[0].sizes[0].value == pytest.approx(FC, rel=0.02)
+    assert first.after == pytest.approx(first.before)
+    assert first.before == pytest.approx(case("coulomb").answer.before, rel=0.1)
+    assert last.after < 0.1 * last.before

@@ -73,19 +73,3 @@ def test_odds_that_ask_nothing_of_the_data_are_the_same_at_every_power():
     draws = Draws.of(blocks(10))
     assert bagged([(None, 2 * math.log(1 / 9))], draws)[0] == pytest.approx(0.9)
     assert bagged([(None, -math.inf)], draws) == [1.0, 0.0]
-
-
-@given(st.floats(-40, 40), st.floats(0, 400), st.floats(0, 400))
-def test_what_both_have_elsewhere_cancels(rise: float, lift: float, more: float):
-    """Odds are those of the better side; what is refused beside it counts for nothing."""
-    draws = Draws.of(blocks(10))
-
-    def gain(size: float) -> torch.Tensor:
-        return torch.full((DRAWS,), size).double()
-
-    both = [(gain(lift), 0.0), (None, -math.inf)]
-    found = bagged([(gain(rise + lift), 0.0), (None, more)], draws, [both])
-    right = torch.tensor([[math.exp(0.5 * p * x) for x in (lift, rise + lift)] for p in POWERS])
-    odds = (right[:, 1] / (1 + right[:, 0])).double()
-    other = math.exp(0.5 * more)
-    assert found[1] == pytest.approx(float((odds / (1 + odds + other)).mean()), abs=1e-6)

@@ -121,11 +121,6 @@ class Prior:
             out[: len(self.known), : len(self.known)] += self.known
         return out if self.bodies is None else out + self.bodies.squares(len(out))
 
-    @property
-    def unknown(self) -> "Prior":
-        """The same, as if the model did not know how sure it is."""
-        return replace(self, known=None)
-
     @cached_property
     def pull(self) -> Float[Tensor, " K"]:
         """Towards where they are expected."""
@@ -152,56 +147,6 @@ class Prior:
     def solve_of(self, equations: Equations, weight: Float[Tensor, " n"]) -> Solved:
         """The minimum of joints' normal equations with these weights (n,)."""
         return self.solve(*equations.weighted(weight))
-
-
-class Priors:
-    """Those of several least squares of K coefficients at most, solved at once.
-
-    Args:
-        each: B of them; the smaller ones have zeros for the coefficients that they lack.
-    """
-
-    def __init__(self, each: Sequence[Prior]):
-        self.each = tuple(each)
-        count = max(len(p.ridge) for p in each)
-        self.squares = torch.zeros(len(each), count, count, dtype=torch.float64)
-        self.pull = torch.zeros(len(each), count, dtype=torch.float64)
-        for k, p in enumerate(each):
-            own = len(p.ridge)
-            self.squares[k, :own, :own] = p.squares
-            self.pull[k, :own] = p.pull
-
-    def value(self, x: Float[Tensor, "B K"]) -> Float[Tensor, " B"]:
-        """As `Prior.value`."""
-        held = (self.squares @ x.unsqueeze(-1)).squeeze(-1)
-        return (x * (held - 2 * self.pull)).sum(-1)
-
-    def leave_bodies(self, x: Float[Tensor, "B K"]) -> list[bool]:
-        """Whether each one's coefficients leave bodies, where it corrects any."""
-        wrong = {k for some in _no_bodies([p.bodies for p in self.each], x) for k in some}
-        return [k not in wrong for k in range(len(self.each))]
-
-    def solve_of(
-        self, equations: Equations, weight: Float[Tensor, "B *batch n"], *, conic: bool = True
-    ) -> Solved:
-        """The minima of joints' normal equations (B, *batch, ...) with these weights.
-
-        Args:
-            equations, weight: of every least squares.
-            conic: whether bodies must stay bodies; without, minima are no larger.
-        """
-        matrix, right = equations.weighted(weight)
-        more = (1,) * (right.dim() - 2)
-        squares = self.squares.view(len(self.each), *more, *self.squares.shape[1:])
-        matrix, right = matrix + squares, right + self.pull.view(len(self.each), *more, -1)
-        root = inverse_root(matrix, known=squares)
-        x = (root @ (root.mT @ right.unsqueeze(-1))).squeeze(-1)
-        if conic and any(p.bodies for p in self.each):
-            own = right.shape[-1]
-            flat = matrix.reshape(-1, own, own), right.reshape(-1, own), x.view(-1, own)
-            each = len(flat[1]) // len(self.each)
-            _stay_bodies([p.bodies for p in self.each for _ in range(each)], *flat)
-        return Solved(x, root)
 
 
 def _no_bodies(bodies: Sequence[Bodies | None], x: Float[Tensor, "G K"]) -> list[list[int]]:

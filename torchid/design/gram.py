@@ -110,48 +110,19 @@ and cancel against theirs. At half of it cancelling pairs appear, at double some
 unseen."""
 
 
-def visible_root(
-    left: np.ndarray, square: np.ndarray, free: np.ndarray | None = None
-) -> np.ndarray:
-    """A root (*M, C, C) of the inverse of what a model leaves of columns, zero where it leaves too
-    little.
-
-    Args:
-        left: (*M, C, C) products of what it leaves of them.
-        square: (*M, C) of the columns themselves; 0 of those that are nowhere.
-        free: (*M, C, C) what it would leave of them if nothing were known of it beforehand, where
-            something is: what that alone leaves is no rest of two large things that cancel.
-    """
-    size = np.sqrt(np.where(square > 0, square, np.inf))
-    scale = size[..., None] * size[..., None, :]
-    unit = left / scale
-    if unit.shape[-1] == 1:  # of most, which have one column
-        values, vectors = unit[..., 0], np.ones_like(unit)
-    else:
-        values, vectors = np.linalg.eigh(unit)
-    seen = values > VISIBLE
-    if free is not None:
-        by_data = (vectors * ((free / scale) @ vectors)).sum(-2)
-        seen |= (values - by_data > 0.5 * values) & (values > EXACT)
-    kept = np.where(seen, 1 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
-    return vectors * kept[..., None, :] / size[..., None]
-
-
 class Gram:
-    """Normal equations of n joints in P parts of the data; the one mutable value of this room.
+    """Normal equations of n joints; the one mutable value of this room.
 
     Args:
         common: number of columns that act on all joints.
         n: number of joints.
-        parts: P.
     """
 
-    def __init__(self, common: int, n: int, parts: int):
+    def __init__(self, common: int, n: int):
         self.common = common
         self.n = n
-        self.parts = parts
-        self.g = [torch.zeros(parts, 0, 0, dtype=torch.float64)] * n
-        self.rows = torch.zeros(parts, n, dtype=torch.float64)
+        self.g = [torch.zeros(0, 0, dtype=torch.float64)] * n
+        self.rows = torch.zeros(n, dtype=torch.float64)
 
     def add(
         self,
@@ -159,29 +130,23 @@ class Gram:
         columns: Sequence[Float[Tensor, "_ N"]],
         y: Float[Tensor, " N"],
         keep: Bool[Tensor, " N"],
-        part: Int[Tensor, " N"],
     ) -> None:
         """Samples of one joint: its columns in pieces, the common ones first; all of them each
         time."""
         rows = [*columns, y.unsqueeze(0)]
         count = sum(map(len, rows))
         if not self.g[joint].numel():
-            self.g[joint] = torch.zeros(self.parts, count, count, dtype=torch.float64)
-        for p in part[keep].unique().tolist():
-            chosen = (keep & (part == p)).nonzero().flatten()
-            own = torch.cat([x.index_select(1, chosen) for x in rows])
-            # All of a symmetric product: half of it, and its mirror image, take longer.
-            self.g[joint][p].addmm_(own, own.T)
-            self.rows[p, joint] += len(chosen)
+            self.g[joint] = torch.zeros(count, count, dtype=torch.float64)
+        chosen = keep.nonzero().flatten()
+        own = torch.cat([x.index_select(1, chosen) for x in rows])
+        # All of a symmetric product: half of it, and its mirror image, take longer.
+        self.g[joint].addmm_(own, own.T)
+        self.rows[joint] += len(chosen)
 
-    def folds(self) -> "Folds":
-        """Every part but 0, judged by the others; part 0 is in neither."""
-        return Folds(tuple(g[1:] for g in self.g), self.rows[1:])
-
-    def over(self, parts: Sequence[int] | None = None) -> "Normal":
-        """The sums over some parts; over all if None."""
-        chosen = slice(None) if parts is None else list(parts)
-        return Normal(tuple(g[chosen].sum(0) for g in self.g), self.rows[chosen].sum(0))
+    @property
+    def normal(self) -> "Normal":
+        """The sums so far."""
+        return Normal(tuple(self.g), self.rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +169,7 @@ class Subset:
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal equations of one part of the data.
+    """Normal equations of some data.
 
     Attributes:
         g: per joint (c + o + 1, c + o + 1): common columns, own columns, y.
@@ -216,72 +181,21 @@ class Normal:
 
     def of(self, subset: Subset) -> "Equations":
         """Those of a subset of K columns."""
-        return self.of_each([subset])[0]
-
-    def of_each(self, subsets: Sequence[Subset]) -> "Equations":
-        """Those of B subsets, the smaller ones with zeros for the columns that they lack."""
-        found = _gathered([g.unsqueeze(0) for g in self.g], subsets)
-        return found[:, 0]
-
-
-@dataclass(frozen=True, eq=False)
-class Folds:
-    """Normal equations of F parts of the data, each of which is judged by the others.
-
-    Attributes:
-        g: per joint, part by part, as those of `Normal`.
-        rows: (F, n) samples of each part.
-    """
-
-    g: tuple[Float[Tensor, "F _ _"], ...]
-    rows: Float[Tensor, "F n"]
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def of_each(self, subsets: Sequence[Subset]) -> "tuple[Equations, Equations]":
-        """Those of B subsets, (B, F, ...): of what each part is fitted on, which is all parts less
-        its own, and of what it is judged on."""
-        judged = _gathered(self.g, subsets)
-        whole = judged.a.sum(1, True), judged.b.sum(1, True), judged.squares.sum(1, True)
-        every = Equations(*whole)
-        fitted = (every.a - judged.a, every.b - judged.b, every.squares - judged.squares)
-        return Equations(*fitted), judged
-
-    def of(self, subset: Subset) -> "tuple[Equations, Equations]":
-        """The same of one subset: (F, ...)."""
-        fitted, judged = self.of_each([subset])
-        return fitted[0], judged[0]
-
-
-def _gathered(g: Sequence[Float[Tensor, "F _ _"]], subsets: Sequence[Subset]) -> "Equations":
-    """Normal equations (B, F, ...) of B subsets of the columns of joints' matrices."""
-    count = max(s.count for s in subsets)
-    at = torch.full((len(subsets), len(g), count), -1)
-    for k, s in enumerate(subsets):
-        at[k, :, : s.count] = s.at
-    felt = (at >= 0).to(g[0])
-    matrices, rights, squares = [], [], []
-    for j, own in enumerate(g):
-        rows = at[:, j]
-        matrices.append(own[:, rows.unsqueeze(2), rows.unsqueeze(1)])
-        right = own[:, rows, -1]
-        square = own[:, -1, -1].unsqueeze(1).repeat(1, len(subsets))
-        for k, s in enumerate(subsets):
+        felt = (subset.at >= 0).to(self.g[0])
+        matrices, rights, squares = [], [], []
+        for j, (g, rows) in enumerate(zip(self.g, subset.at, strict=True)):
             # The target is y and columns with given coefficients.
-            there = [(r, v) for joint, r, v in s.instead if joint == j]
-            if there:
-                target = torch.cat([rows.new_tensor([-1]), *(r for r, _ in there)])
-                values = torch.cat([own.new_ones(1), *(v for _, v in there)])
-                right[:, k] = own[:, rows[k].unsqueeze(1), target] @ values
-                square[:, k] = own[:, target.unsqueeze(1), target] @ values @ values
-        rights.append(right)
-        squares.append(square)
-    # (n, F, B, ...) of all joints; a joint that does not feel a column has zeros.
-    a = torch.stack(matrices).permute(2, 1, 0, 3, 4)
-    b = torch.stack(rights).permute(2, 1, 0, 3)
-    both = (felt.unsqueeze(-1) * felt.unsqueeze(-2)).unsqueeze(1)
-    return Equations(a * both, b * felt.unsqueeze(1), torch.stack(squares).permute(2, 1, 0))
+            there = [(r, v) for joint, r, v in subset.instead if joint == j]
+            target = torch.cat([rows.new_tensor([-1]), *(r for r, _ in there)])
+            values = torch.cat([g.new_ones(1), *(v for _, v in there)])
+            matrices.append(g[rows.unsqueeze(1), rows])
+            rights.append(g[rows.unsqueeze(1), target] @ values)
+            squares.append(g[target.unsqueeze(1), target] @ values @ values)
+        # A joint that does not feel a column has zeros.
+        both = felt.unsqueeze(2) * felt.unsqueeze(1)
+        return Equations(
+            torch.stack(matrices) * both, torch.stack(rights) * felt, torch.stack(squares)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,10 +211,6 @@ class Equations:
     a: Float[Tensor, "*batch n K K"]
     b: Float[Tensor, "*batch n K"]
     squares: Float[Tensor, "*batch n"]
-
-    def __getitem__(self, at: int | slice | tuple[int | slice, ...]) -> "Equations":
-        """Those of a part of the batch."""
-        return Equations(self.a[at], self.b[at], self.squares[at])
 
     @property
     def count(self) -> int:

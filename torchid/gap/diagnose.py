@@ -54,8 +54,8 @@ def diagnose(
         force: diagnose a log that the doctor's decisive checks say is wrong (order or sign of
             joints, units, lag, a run with a load of its own), and say so first.
         progress: called with (stage, done, total).
-        watch: called with an `Answer` of status `searching` whenever more is known: first within
-            seconds, of the usual effects. Its errors are of data that were fitted.
+        watch: called with an `Answer` of status `searching` whenever more is known: first of the
+            gap alone. Its errors are of data that were fitted.
 
     Returns:
         A `TorqueDiagnosis` [N m; N] or a `PositionDiagnosis` [mrad]: `answer` is the same for both.

@@ -179,9 +179,8 @@ class _Friction:
 
     def _instead(self, one: Judged) -> dict[int, list[Effect]]:
         """Friction of this joint that may stand in a term's place, by its number."""
-        every = (([t.alone for t in terms], k) for k, (_, terms) in enumerate(one.others))
-        own = {k: [e for e in some if e is not None and self._is_own(e)] for some, k in every}
-        return {k: some for k, some in own.items() if some}
+        every = ((k, t.alone) for k, t in enumerate(one.others))
+        return {k: [e] for k, e in every if e is not None and self._is_own(e)}
 
     def _table(self, own: Float[Tensor, " M"]) -> tuple[FrictionAt, ...]:
         """Torque at three speeds, as they are read, both ways."""

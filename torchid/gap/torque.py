@@ -8,6 +8,7 @@ and how far it closes the gap is judged by its terms fitted without each fold, o
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -15,13 +16,14 @@ import torch
 from torchid.design.columns import Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
+from torchid.gap.adapter import events_of, explanation_of, judged_of, likely_beside
+from torchid.gap.causes.explain import explain
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.early import Watch, first_answer, so_far
+from torchid.gap.early import Watch, telling
 from torchid.gap.friction import friction_laws
 from torchid.gap.localise.where import where
 from torchid.gap.problem import Problem
 from torchid.gap.record import Budget, Known, Parametric
-from torchid.gap.search.explain import explain_gap
 from torchid.gap.search.findings import (
     Findings,
     describe_findings,
@@ -31,6 +33,7 @@ from torchid.gap.search.findings import (
 from torchid.gap.search.joint_fits import joint_fits
 from torchid.gap.search.known import after_log, known_of
 from torchid.gap.search.shares import shares_of
+from torchid.gap.search.terms import Term
 from torchid.gap.search.unnamed import causes_of_few_runs, small_effects, terms_without_name
 from torchid.gap.settings import GapSettings
 from torchid.gap.validate.bodies import with_bodies_nearest
@@ -78,22 +81,27 @@ def diagnose_torque(
     problem = pose(robot, log, held_out, settings, force)
     del log, held_out  # a long one is searched in part, and may now be let go
     say("searching for effects")
-    watch = watch if problem.data.keep.any() else None  # of no torque there is nothing to say yet
-    if watch is not None and not problem.data.stands:
-        watch(first_answer(problem))
-    found = explain_gap(problem, watch and (lambda q, fit: watch(so_far(q, fit, problem.robot))))
+    # Of no torque, or of an arm that stands still, there is nothing to say yet.
+    tells = bool(problem.data.keep.any()) and not problem.data.stands
+    told = telling(watch, robot) if tells and watch is not None else None
+    explained = explain(problem, told, events_of(problem))
+    found = explanation_of(explained, problem)
     if not found.terms:
         problem.data.require_motion()
     say("judging")
-    decision = decide(found, problem)
+    decision = decide(found, judged_of(explained, found, problem), problem)
     say("locating")
-    result = describe_diagnosis(decision, problem)
+    likely = likely_beside(explained, decision.found)
+    result = describe_diagnosis(decision, problem, likely)
     say("done")
     return result
 
 
-def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
-    """The answer, from a decision: where, which, how far, and what this log could not show."""
+def describe_diagnosis(
+    decision: Decision, problem: Problem, likely: Sequence[Term]
+) -> TorqueDiagnosis:
+    """The answer, from a decision, and candidates beside it, the likeliest first: where, which, how
+    far, and what this log could not show."""
     found, checked, data, settings = (
         decision.found, decision.checked, problem.data, problem.settings
     )  # fmt: skip
@@ -114,7 +122,7 @@ def describe_diagnosis(decision: Decision, problem: Problem) -> TorqueDiagnosis:
     known = known_of(found, problem, after, decision.least)
     said = with_changes(said, known)
     small = small_effects(found, problem, decision.misfit)
-    of_few = causes_of_few_runs(found, problem, decision.misfit)
+    of_few = causes_of_few_runs(found, problem, decision.misfit, likely)
     unnamed = terms_without_name(found, decision.judged, taken.of_all(checked.far.less)[0])
     if decision.dropped is not None:
         every = terms_without_name(*decision.dropped, [math.nan] * len(decision.dropped[1]))

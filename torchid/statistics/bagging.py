@@ -64,9 +64,7 @@ Alternative = tuple[Float[Tensor, " M"] | None, float]
 draw, None where nothing is asked of the data; and twice the logarithm of its odds beforehand."""
 
 
-def bagged(
-    every: Sequence[Alternative], draws: Draws, beside: Sequence[Sequence[Alternative]] = ()
-) -> list[float]:
+def bagged(every: Sequence[Alternative], draws: Draws) -> list[float]:
     """Probabilities of an explanation and of what may be there in its place; they add up to one.
 
     What is likelier on a draw stays so at every power, which evidence has whole: likelihood and
@@ -75,19 +73,11 @@ def bagged(
     Args:
         every: one or more alternatives.
         draws: with the powers.
-        beside: of the first alternatives what the explanation is with the same changes elsewhere:
-            an alternative is as likely as it is against all of these together.
 
     Returns:
         the explanation's, and that of each alternative.
     """
     powers = torch.tensor(draws.powers, dtype=torch.float64).unsqueeze(1)
     none = torch.zeros(len(draws.powers), len(draws.times), dtype=torch.float64)
-
-    def together(*some: Alternative) -> Float[Tensor, "P M"]:
-        parts = [0.5 * (none + b if a is None else powers * (a + b)) for a, b in some]
-        return torch.stack(parts).logsumexp(0)
-
-    pairs = zip(every, [*beside, *[()] * (len(every) - len(beside))], strict=True)
-    rises = [together(one) - together((None, 0.0), *others) for one, others in pairs]
+    rises = [0.5 * (none + b if a is None else powers * (a + b)) for a, b in every]
     return torch.stack([none, *rises]).softmax(0).mean((1, 2)).tolist()

@@ -31,9 +31,7 @@ DOUBT = 4 / 9
 [1]: with half of the RMS left a cause is 90 % sure at most."""
 
 WRONG_FILE = 1 / 9
-"""Odds that inertial parameters are the cause where all of them do as well as an effect, and the
-model does not say how sure it is [1]: what stands only if a file is trusted is 90 % sure at
-most."""
+"""Odds beforehand that all parameters of a file are wrong, over those of another cause [1]."""
 
 BODY_STD = 0.3
 """Standard deviation of the relative error of a model's inertial parameters [1]: CAD is known to

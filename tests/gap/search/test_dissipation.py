@@ -12,8 +12,8 @@ from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.gravity import TorqueGain
 from torchid.effects.registry import Valued
 from torchid.effects.spring import JointSpring
-from torchid.gap.search.climb import drop_unphysical
 from torchid.gap.search.evidence import Fitted, Question, fit_terms, unphysical_terms
+from torchid.gap.search.explain import drop_unphysical
 
 LAWS = ("viscous_friction", "coulomb_friction", "power_law_friction", "joint_spring")
 

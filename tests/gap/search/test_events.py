@@ -15,7 +15,7 @@ from torchid.design.segments import Segment
 from torchid.effects.friction import CoulombFriction
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
-from torchid.gap.search.events import Windows, contacts
+from torchid.gap.search.events import contacts
 from torchid.robot.library import load_robot
 
 FRICTION = [(CoulombFriction(j), [0.3]) for j in range(3)]
@@ -132,22 +132,3 @@ def test_windows_lie_within_their_run(quiet, columns):
     for c in found:
         assert any(a <= c.start < c.stop <= b for a, b in ends)
     assert torch.isfinite(torch.tensor([c.start for c in found])).all()
-
-
-@pytest.mark.parametrize("pushed", [True, False])
-def test_a_long_push_stands_out_by_its_clearest_window(pushed):
-    """Of windows as long as the push a short log holds few, so that none of them says much."""
-    draws = torch.Generator().manual_seed(1)
-    left = torch.randn(2, 600, generator=draws, dtype=torch.float64)
-    slow = torch.nn.functional.avg_pool1d(left.unsqueeze(1), 25, 1, 12).squeeze(1) * 5
-    columns = torch.eye(2, dtype=torch.float64).unsqueeze(-1).expand(2, 2, 600)
-    span = (300, 420)
-    slow[:, span[0] : span[1]] += 5.0 * pushed
-    windows = Windows(columns, slow, [slice(0, 600)])
-    clearest = windows.clearest(span, [])
-    assert clearest is not None
-    assert (clearest.chance < 0.01) == pushed
-    whole = [k for k, (_, _, length) in enumerate(windows.looked) if length <= span[1] - span[0]]
-    gain = float(windows.gains(torch.tensor([span[0]]), torch.tensor([span[1]])))
-    alone = windows.level(span, gain, whole[-1], [])
-    assert alone is None or alone.chance >= clearest.chance

@@ -1,4 +1,4 @@
-"""What a candidate would add, against fits of all rows; what it costs; and what is refused."""
+"""Fits against those of all rows; what terms cost; and what is refused."""
 
 import math
 from dataclasses import replace
@@ -8,17 +8,15 @@ import torch
 
 from tests.gap.motions import ROBOT
 from tests.gap.problems import SIMPLE, measured, motions, question_of, term
-from tests.gap.search.beside import offers
 from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.surroundings import EndStop, PlaneContact
 from torchid.gap.search.evidence import (
+    Fitted,
     Question,
     active_share,
-    best_fits,
-    cause_groups,
     common_names,
     comparable,
     cost,
@@ -26,7 +24,6 @@ from torchid.gap.search.evidence import (
     effective_samples,
     fit_terms,
     prior_of,
-    refit_each,
     residual,
     rows_of,
     subset_of,
@@ -53,90 +50,35 @@ def question() -> Question:
     return question_of(measured(FRICTION), NAMES)
 
 
-def rows(question: Question, joint: int, terms: list) -> tuple[Tensor, Tensor]:
-    """Columns (R, K) of terms and the gap (R,) in the samples of a joint that count."""
-    keep = question.candidates.keep[joint]
-    parts = [rows_of(question, t) for t in terms]
-    own = [p[:, 0 if t.place is not None else joint] for t, p in zip(terms, parts, strict=True)]
-    return torch.cat(own)[:, keep].T, question.candidates.gap[joint, keep]
-
-
 def loss(a: Tensor, y: Tensor) -> float:
     # gelsd: the driver that knows about rank
     x = torch.linalg.lstsq(a, y.unsqueeze(1), driver="gelsd").solution[:, 0]
     return float((y - a @ x).square().sum())
 
 
-def test_gains_are_the_fall_of_the_log_likelihood(question: Question) -> None:
-    """Of every candidate on one joint: n log of how the sum of squares falls, two fits by hand."""
-    held = [term(question, "viscous_friction", 1)]
-    beside = fit_terms(question, held, question.normal.rows)
-    found = [o for o in offers(question, beside) if o.term.place is not None]
-    # A coefficient that physics bounds is fitted beside what is known of it beforehand.
-    free = [o for o in found if not o.term.ridge.any()]
-    assert len(found) > len(free) > 10
-    for offer in free:
-        place = offer.term.place
-        own = [t for t in held if t.place == place]
-        before, after = (
-            loss(*rows(question, place, terms)) if terms else float(beside.losses[place])
-            for terms in (own, [*own, offer.term])
-        )
-        fall = float(question.normal.rows[place]) * math.log(before / after)
-        assert offer.gain == pytest.approx(fall, rel=1e-5, abs=1e-6)
-
-
-def test_gains_on_all_joints_are_so_to_first_order(question: Question) -> None:
-    """With the joints' weights as they are, an effect of the arm lowers the weighted squares by
-    what is offered; the likelihood, whose weights follow, by a little more."""
-    rows, planted = question.normal.rows, [t for t in question.candidates.terms if _planted(t)]
-    start = fit_terms(question, planted, rows)
-    beside = fit_terms(question, planted, rows, start.weight)
-    offered = [o for o in offers(question, beside) if o.term.place is None and not o.term.bodies]
-    assert {o.term.name for o in offered} >= {"base_tilt"}
-    for offer in offered:
-        more = fit_terms(question, [*planted, offer.term], rows, beside.weight)
-        fall = float((rows * (beside.losses / more.losses).log()).sum())
-        assert offer.gain == pytest.approx(fall, rel=0.1, abs=0.1)
-
-
-def _planted(t) -> bool:
-    return len(t.effects) == 1 and t.effects[0] in [e for e, _ in FRICTION]
-
-
-def test_what_is_planted_is_offered_first(question: Question) -> None:
-    empty = fit_terms(question, (), question.normal.rows)
-    best = next(o.term for o in offers(question, empty) if o.term.place == 1)
-    assert best.name in ("viscous_friction", "power_law_friction")
-    held = fit_terms(question, [term(question, "viscous_friction", 1)], question.normal.rows)
-    assert all(o.term.key != ("viscous_friction", (1,)) for o in offers(question, held))
-
-
-def offered(effects: tuple, names: tuple[str, ...]) -> dict[tuple[str, int], float]:
-    """Gains by name and joint."""
+def is_allowed(effects: tuple, names: tuple[str, ...], name: str, place: int) -> bool:
+    """Whether a term may be alone in an explanation."""
     question = question_of(measured(effects), names)
-    empty = fit_terms(question, (), question.normal.rows)
-    found = offers(question, empty)
-    return {(o.term.name, o.term.effects[0].joints[0]): o.gain for o in found if o.term.effects}
+    fit = fit_terms(question, [term(question, name, place)], question.normal.rows)
+    return math.isfinite(fit.evidence)
 
 
 def test_a_sign_that_physics_forbids_is_refused() -> None:
     """Friction that drives is none; an offset has either sign."""
-    found = offered(((ViscousFriction(1), [-1.0]), (TorqueOffset(2), [-1.0])), SIMPLE)
-    assert ("viscous_friction", 1) not in found
-    assert found["torque_offset", 2] > 100
-    assert ("viscous_friction", 1) in offered(FRICTION, SIMPLE)
+    effects = ((ViscousFriction(1), [-1.0]), (TorqueOffset(2), [-1.0]))
+    assert not is_allowed(effects, SIMPLE, "viscous_friction", 1)
+    assert is_allowed(effects, SIMPLE, "torque_offset", 2)
+    assert is_allowed(FRICTION, SIMPLE, "viscous_friction", 1)
 
 
 def test_a_negative_correction_of_the_model_s_own_is_no_negative_friction() -> None:
     """The model has more viscous friction than the arm; what is left stays positive."""
     given = ((ViscousFriction(1), [1.5]),)
     question = question_of(measured(FRICTION[:1]), SIMPLE, given=given)
-    empty = fit_terms(question, (), question.normal.rows)
-    found = {(o.term.name, o.term.place): o for o in offers(question, empty)}
-    best = found["viscous_friction", 1]
-    assert best.term.known == (1.5,)
-    fit = fit_terms(question, [best.term], question.normal.rows)
+    own = term(question, "viscous_friction", 1)
+    assert own.known == (1.5,)
+    fit = fit_terms(question, [own], question.normal.rows)
+    assert math.isfinite(fit.evidence)
     assert float(fit.x[0]) == pytest.approx(-0.5, abs=0.02)
 
 
@@ -145,54 +87,32 @@ def test_a_size_that_no_arm_has_is_refused() -> None:
     largest = EncoderOffset.coefficients[0].largest
     usual = EncoderOffset(1)
     for size, there in ((0.5 * largest, True), (6.0 * largest, False)):
-        found = offered(((usual, [size]),), ("encoder_offset",))
-        assert (("encoder_offset", 1) in found) == there
-
-
-def plane_offered(question: Question) -> list[Term]:
-    empty = fit_terms(question, (), question.normal.rows)
-    return [o.term for o in offers(question, empty) if o.term.name == "plane_contact"]
+        question = question_of(measured(((usual, [size]),)), ("encoder_offset",))
+        own = next(t for t in question.candidates.terms if t.joints == (1,))
+        fit = fit_terms(question, [own], question.normal.rows)
+        assert math.isfinite(fit.evidence) == there
 
 
 def test_a_damping_that_drives_is_left_out_and_the_plane_stays() -> None:
-    """A plane whose force grows faster than with depth looks as if it drove: the plane is offered
-    and fitted with its stiffness alone, and a plane that pulls is refused."""
+    """A plane whose force grows faster than with depth looks as if it drove: the plane is fitted
+    with its stiffness alone, and a plane that pulls is refused."""
     height = float(torch.cat([tool_pose(ROBOT, m.q)[:, 2, 3] for m in motions()]).quantile(0.1))
     plane = PlaneContact(height)
 
-    def asked(*values: float) -> Question:
+    def asked(*values: float) -> tuple[Question, Term, Fitted]:
         data = measured(((plane, [*values]),), noise=0.01)
-        return question_of(data, ("plane_contact",), extra=[plane])
+        question = question_of(data, ("plane_contact",), extra=[plane])
+        own = next(t for t in question.candidates.terms if t.effects == (plane,))
+        one = torch.ones(3).double()
+        return question, own, fit_terms(question, [own], question.normal.rows, one, 1)
 
-    question = asked(2000.0, -300.0)
-    (there,) = plane_offered(question)
-    fit = fit_terms(question, [there], question.normal.rows, torch.ones(3).double(), 1)
+    question, there, fit = asked(2000.0, -300.0)
     keep, column = question.candidates.keep, rows_of(question, there)[0]
     stiffness = (column * question.candidates.gap)[keep].sum() / column[keep].square().sum()
     # Joints are weighed by what they leave; of unequal joints not quite as one.
     assert fit.x.tolist() == pytest.approx([float(stiffness), 0.0], rel=2e-3)
     assert math.isfinite(fit.evidence)
-    assert not plane_offered(asked(-2000.0, 300.0))
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_the_leading_explanations_are_those_of_all_fits(count: int) -> None:
-    """Bodies whose free fits are none among them: the same fits in the same order as if all conic
-    programs had been solved."""
-    question = question_of(measured(FRICTION), ("link_inertia", "payload", *SIMPLE), inertial=True)
-    n = question.normal.rows
-    weight = n / question.squares
-    tried = [[t] for t in question.candidates.terms if t.name != BASE]
-    start = replace(fit_terms(question, [], n), losses=question.squares)
-    every = refit_each(question, start, tried)
-    free = [fit_terms(question, t, n, weight, conic=False) for t in tried]
-    bound = [not torch.allclose(a.x, b.x) for a, b in zip(every, free, strict=True)]
-    assert any(bound)
-    assert all(b.evidence >= a.evidence - 1e-6 for a, b in zip(every, free, strict=True))
-    best = sorted(range(len(tried)), key=lambda k: -every[k].evidence)[:count]
-    found = best_fits(question, start, tried, count)
-    assert [k for k, _ in found] == best
-    assert [f.evidence for _, f in found] == pytest.approx([every[k].evidence for k in best])
+    assert asked(-2000.0, 300.0)[2].evidence == -math.inf
 
 
 def test_what_acts_beyond_a_limit_acts_there_alone() -> None:
@@ -216,21 +136,16 @@ def stribeck() -> Question:
 
 
 def test_another_shape_stands_in_the_place_of_the_model_s_own() -> None:
-    """Its gain is that of a fit to the gap with the model's own effect taken out."""
+    """It is fitted to the gap with the model's own effect taken out."""
     question = stribeck()
-    empty = fit_terms(question, (), question.normal.rows)
     columns = question.candidates.columns
     keep = question.candidates.keep[1]
     freed = question.candidates.gap[1] + 0.8 * columns.of(OWN)[1][0]
-    shapes = [o for o in offers(question, empty) if o.term.instead]
+    shapes = [t for t in question.candidates.terms if t.instead]
     assert shapes
-    for offer in shapes:
-        own = rows_of(question, offer.term)[:, 0][:, keep].T
-        left = loss(own, freed[keep])
-        before = float(question.candidates.gap[1, keep].square().sum())
-        fall = float(question.normal.rows[1]) * math.log(before / left)
-        assert offer.gain == pytest.approx(fall, rel=1e-5, abs=1e-6)
-        fit = fit_terms(question, [offer.term], question.normal.rows)
+    for shape in shapes:
+        left = loss(rows_of(question, shape)[:, 0][:, keep].T, freed[keep])
+        fit = fit_terms(question, [shape], question.normal.rows)
         assert float(fit.losses[1]) == pytest.approx(left, rel=1e-6)
         after = residual(question, fit.terms, fit.x)
         assert float(after[1].square().sum()) == pytest.approx(left, rel=1e-6)
@@ -242,6 +157,15 @@ def test_the_model_s_own_shape_stands_beside_itself() -> None:
     assert len(own) == 1
     assert own[0].instead == ()
     assert own[0].known == (0.8,)
+
+
+def test_what_most_joints_have_is_one_cause(question: Question) -> None:
+    dry = [term(question, "coulomb_friction", j) for j in range(3)]
+    springs = [term(question, "joint_spring", j) for j in range(3)]
+    assert common_names(dry[:2], 3) == {"coulomb_friction"}
+    assert not common_names(dry[:1], 3)
+    assert not common_names(dry, 6)  # half of them are not most
+    assert not common_names(springs, 3)  # an arm that has one has no reason to have others
 
 
 def test_evidence_is_made_of_likelihood_and_cost(question: Question) -> None:
@@ -296,21 +220,6 @@ def test_directions_that_the_samples_do_not_tell_apart_cost_nothing(question: Qu
         doubled, at=doubled.at.repeat(2), coefficients=doubled.coefficients * 2, sigma=None
     )
     assert directions(question, twice) == directions(question, doubled) == 1
-
-
-def test_causes_are_terms_but_what_most_joints_have_is_one(question: Question) -> None:
-    dry = [term(question, "coulomb_friction", j) for j in range(3)]
-    inertia = term(question, "rotor_inertia", 1)
-    assert len(cause_groups([], 3)) == 0
-    assert len(cause_groups(dry[:1], 3)) == 1
-    assert len(cause_groups(dry[:2], 3)) == len(cause_groups(dry, 3)) == 1
-    assert len(cause_groups([*dry, inertia], 3)) == 2
-    springs = [term(question, "joint_spring", j) for j in range(3)]
-    assert len(cause_groups(springs, 3)) == 3  # an arm that has one has no reason to have others
-    assert common_names(dry[:2], 3) == {"coulomb_friction"}
-    assert not common_names(dry[:1], 3)
-    assert not common_names(dry, 6)  # half of them are not most
-    assert not common_names(springs, 3)
 
 
 def test_effective_samples_are_fewer_where_what_is_left_is_slow() -> None:

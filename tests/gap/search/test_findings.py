@@ -5,26 +5,18 @@ import pytest
 import torch
 
 from tests.gap.motions import ROBOT
-from tests.gap.problems import measured, question_of, wanted_of
+from tests.gap.problems import measured, question_of, term, wanted_of
 from torchid.design.columns import Columns, Model
 from torchid.effects.friction_laws import PowerLawFriction
 from torchid.effects.inertia import Payload
 from torchid.effects.spring import JointSpring
-from torchid.gap.search.climb import fit_anew
-from torchid.gap.search.evidence import comparable, fit_terms
-from torchid.gap.search.explain import Explanation
-from torchid.gap.search.findings import (
-    Judged,
-    alternatives,
-    at_an_end,
-    likely_terms,
-    not_testable,
-)
-from torchid.gap.search.odds import Against, Odds, place_of
+from torchid.gap.search.evidence import fit_terms
+from torchid.gap.search.explain import Explanation, fit_anew
+from torchid.gap.search.findings import Judged, at_an_end, not_testable
+from torchid.gap.search.odds import Odds, Place
 from torchid.gap.search.solve import Solution, solve_terms
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD
 from torchid.robot.inertia import InertialParameters
-from torchid.statistics.bagging import Draws, bagged
 from torchid.statistics.blocks import block_numbers
 
 LOAD = [0.5, 0.05, -0.02, 0.1, 0.08, 0.0, 0.0, 0.08, 0.0, 0.08]
@@ -85,44 +77,25 @@ def test_a_shape_at_the_end_of_its_range_is_never_told_alone(a: float, others: s
     """However clearly it explains more: what lies beyond its range nobody has looked at."""
     planted = PowerLawFriction(1, a)
     data = measured([(planted, [3.0])], noise=0.01)
-    names = ("viscous_friction", "power_law_friction")
-    question = question_of(data, names, extra=[planted])
+    question = question_of(data, ("viscous_friction", "power_law_friction"), extra=[planted])
     own = next(t for t in question.candidates.terms if t.effects == (planted,))
     rows = question.normal.rows
     fit, without = (fit_terms(question, terms, rows) for terms in ([own], []))
-    found = alternatives(question, fit, without, own, likely_terms(question, fit, without, own))
     ended = at_an_end(question, own)
     assert ended == (("a",) if others else ())
     # However sure, the other one is in its set.
-    sure = Odds(1.0, 0.0, 0.0, (0.0,) * len(found))
-    pairs = tuple((rise, (other,)) for rise, other, _ in found)
-    against = Against(question, fit, Draws.of(torch.zeros(len(data.samples)).long()))
-    place = place_of(against, without, own, None)  # type: ignore[arg-type]
-    judged = Judged(place, pairs, sure, bool(ended))
+    place = Place(question, (fit, without), own, None)  # type: ignore[arg-type]
+    rival = term(question, "viscous_friction", 1)
+    judged = Judged(place, (rival,), Odds(1.0, 0.0, 0.0, (0.0,)), bool(ended))
     assert set(judged.ambiguous_with) == others
-    now, then = comparable(question, fit, without)
-    rises = [then.evidence - now.evidence, *(rise for rise, *_ in found)]
-    sure, *_ = bagged([(None, rise) for rise in rises], place.draws.as_it_is)
-    assert sure > 0.99  # they are named, not believed
 
 
-def test_a_link_that_does_as_well_is_in_the_set_of_another() -> None:
-    """A point mass where link 3 begins is one of link 2 as well: the set holds both."""
-    change = torch.zeros(3, 10, dtype=torch.float64)
-    change[2, 0] = 0.4
-    pi = ROBOT.require_parameters("a test").pi
-    data = measured([], real=ROBOT.with_parameters(InertialParameters(pi + change)), noise=0.01)
-    question = question_of(data, (LINK,), inertial=True)
-    links = {t.joints: t for t in question.candidates.terms if t.name == LINK}
-    own, rows = links[(2,)], question.normal.rows
-    fit, without = (fit_terms(question, terms, rows) for terms in ([own], []))
-    found = alternatives(question, fit, without, own, likely_terms(question, fit, without, own))
-    (other,) = (t for _, t, _ in found if t.name == LINK)
-    assert other.joints == (1,)
-    even = Odds(0.5, 0.0, 0.0, tuple(0.5 * (t is other) for _, t, _ in found))
-    pairs = tuple((rise, (t,)) for rise, t, _ in found)
-    against = Against(question, fit, Draws.of(torch.zeros(len(data.samples)).long()))
-    judged = Judged(place_of(against, without, own, None), pairs, even)  # type: ignore[arg-type]
+def test_of_the_same_effect_elsewhere_the_set_says_where() -> None:
+    question = question_of(measured([]), (LINK,), inertial=True)
+    own, other = (next(t for t in question.candidates.terms if t.joints == (j,)) for j in (2, 1))
+    fit, without = (fit_terms(question, terms, question.normal.rows) for terms in ([own], []))
+    place = Place(question, (fit, without), own, None)  # type: ignore[arg-type]
+    judged = Judged(place, (other,), Odds(0.5, 0.0, 0.0, (0.5,)))
     assert judged.ambiguous_with == ("link_inertia 2",)
 
 

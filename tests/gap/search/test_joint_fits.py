@@ -12,7 +12,8 @@ def test_alternatives_take_what_the_answer_leaves_of_its_causes() -> None:
     told, *others = answer["joint_fits"]
     assert told["words"] == ""
     assert sum(fit["weight"] for fit in (told, *others)) == pytest.approx(1)
-    for cause, of in zip(answer["which"], ("", " of joint 2", " of joint 1"), strict=True):
+    for cause in answer["which"]:
+        of = f" of joint {cause['joints'][0]}" if cause["effect"] != "payload" else ""
         place = f"in the place of {cause['effect']}{of}"
         instead = sum(fit["weight"] for fit in others if fit["words"].endswith(place))
         # Less what is less likely than one in twenty beside the cause, nothing, and the unknown.

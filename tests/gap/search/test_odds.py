@@ -1,8 +1,7 @@
-"""One probability: of a cause against nothing, against others, and against something unknown."""
+"""One probability: of a cause against nothing, and against something unknown."""
 
 import math
 
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -10,11 +9,10 @@ from hypothesis import strategies as st
 from tests.gap.problems import measured, question_of, wanted_of
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.gap.search.evidence import fit_terms
-from torchid.gap.search.findings import rivals_of
-from torchid.gap.search.odds import Against, Misfit, Odds, place_of
+from torchid.gap.search.odds import Misfit, Odds, Place
 from torchid.gap.search.replication import own_torque
 from torchid.gap.search.solve import solve_terms
-from torchid.statistics.bagging import Draws, bagged
+from torchid.statistics.bagging import Draws
 from torchid.statistics.blocks import block_numbers
 from torchid.statistics.odds import DOUBT, stands_in
 
@@ -22,7 +20,7 @@ NOISE = 0.01
 
 
 def asked(planted, misfit, name="viscous_friction", joint=1):
-    """Odds of an effect of a joint on a log with what is planted, beside so much misfit."""
+    """Probability of an effect of a joint on a log with what is planted, beside so much misfit."""
     data = measured(planted, noise=NOISE)
     question = question_of(data, (name,))
     term = next(t for t in question.candidates.terms if t.place == joint)
@@ -32,49 +30,36 @@ def asked(planted, misfit, name="viscous_friction", joint=1):
     columns = question.candidates.columns
     wanted = wanted_of((name,))
     solution = solve_terms(columns, fit.terms, fit.values(), data, wanted, block, rows)
-    draws = Draws.of(block)
-    k = len(question.fixed)
     share = misfit / (misfit + question.squares / rows)
     left = Misfit(torch.full_like(rows, misfit), share)
-    against = Against(question, fit, draws)
-    return place_of(against, without, term, own_torque(solution, k)).odds(left)
+    own = own_torque(solution, len(question.fixed))
+    return Place(question, (fit, without), term, own).sure(left, Draws.of(block))
 
 
 LAW = [(ViscousFriction(1), [0.5])]
 
 
 def test_a_law_without_misfit_is_sure():
-    found = asked(LAW, 0.0)
-    assert found.sure > 0.999
+    assert asked(LAW, 0.0) > 0.999
 
 
 def test_nothing_is_more_likely_than_what_is_not_there():
-    found = asked([], 0.0)
-    assert found.sure < 0.5 < found.nothing
+    assert asked([], 0.0) < 0.5
 
 
 def test_the_odds_end_where_misfit_begins():
     """The larger what no cause explains, the less sure, however clear the evidence is."""
-    found = [asked(LAW, misfit) for misfit in (1e-4, 0.05, 0.2, 1.0)]
-    assert all(f.nothing < 1e-3 for f in found)
-    sure = [f.sure for f in found]
+    sure = [asked(LAW, misfit) for misfit in (1e-4, 0.05, 0.2, 1.0)]
     assert sure == sorted(sure, reverse=True)
     assert sure[0] > 0.99
     assert sure[-1] < 1 / (1 + 0.9 * DOUBT)
-
-
-def test_with_half_of_the_error_left_no_cause_is_surer_than_nine_in_ten():
-    log = Draws.of(torch.arange(2)).as_it_is
-    sure, *_ = bagged([(None, -500.0), (None, 2 * math.log(DOUBT * 0.25))], log)
-    assert sure == pytest.approx(0.9)
 
 
 def test_what_another_law_leaves_to_a_proxy_is_less_sure():
     """Dry friction seen as viscous: in slow and in fast motion it wants another factor."""
     misfit = 0.02
     law, proxy = asked(LAW, misfit), asked([(CoulombFriction(1), [0.3])], misfit)
-    assert proxy.nothing < 0.5
-    assert proxy.unknown > 5 * law.unknown
+    assert 1 - proxy > 5 * (1 - law)
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=3, max_size=7))
@@ -96,18 +81,3 @@ def test_equal_factors_speak_for_a_law_as_far_as_they_are_known(stds):
     assert stands_in([(1.0, math.inf), (1.0, math.inf)]) == 0.0
     spread = [(1.0 + (-1) ** k, s) for k, s in enumerate(stds)]
     assert stands_in(spread) > same
-
-
-def test_what_a_rival_adds_elsewhere_speaks_neither_for_nor_against_a_cause() -> None:
-    """Dry friction of another joint, which the answer lacks, is no rival, however much it says."""
-    data = measured([(ViscousFriction(1), [0.2]), (CoulombFriction(2), [0.6])], noise=NOISE)
-    question = question_of(data, ("viscous_friction", "coulomb_friction"))
-    own, dry = (
-        next(t for t in question.candidates.terms if (t.name, t.place) == at)
-        for at in (("viscous_friction", 1), ("coulomb_friction", 2))
-    )
-    rows = question.normal.rows
-    fit, instead = (fit_terms(question, [t], rows, None, 10) for t in (own, dry))
-    draws = Draws.of(block_numbers(data.samples.bounds, 25))
-    (rival,) = rivals_of(Against(question, fit, draws), own, [((dry,), instead)])
-    assert bagged([rival.weight], draws, [rival.beside])[0] > 0.99

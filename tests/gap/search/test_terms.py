@@ -10,7 +10,7 @@ from tests.gap.problems import data_of, measured, question_of
 from torchid.effects.backlash import IMPACTS, WIDTHS, Backlash
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.gravity import TorqueCrosstalk
-from torchid.gap.search.climb import fit_anew
+from torchid.gap.search.explain import fit_anew
 from torchid.gap.search.terms import term_columns
 
 

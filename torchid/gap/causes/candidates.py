@@ -4,28 +4,29 @@
     P_k = diag(4 / largest^2) + mean_j X_kj' X_kj / (SLAB^2 |gap_j|^2)
 
 The slab says how large coefficients can be before the log is seen: on any arm and on this one; and
-together they make no much larger torque than the gap that they are to explain (Zellner 1986). What a
-model that was fitted before leaves open of itself is a nuisance: columns with the covariance that it
-states, always fitted.
+together they make no much larger torque than the gap that they are to explain (Zellner 1986). What
+a model that was fitted before leaves open of itself is a nuisance: columns with the covariance that
+it states, always fitted.
 """
 
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
 
-from torchid.gap.causes.misfit import noise_of_repeats
 from torchid.design.bodies import body_sizes
-from torchid.design.columns import Columns, Place, smoothed, together
+from torchid.design.columns import Columns, Model, Place, smoothed, together
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.file_mistakes import FileMistake
 from torchid.effects.gravity import BaseTilt, EncoderOffset, KinematicError, TorqueCrosstalk
 from torchid.effects.motion import Motion
 from torchid.effects.registry import KINDS
 from torchid.effects.transient import Contact
+from torchid.gap.causes.misfit import noise_of_repeats
 from torchid.gap.data import Data
 from torchid.gap.problem import Problem
 from torchid.gap.search.scale import Scale
@@ -41,6 +42,9 @@ explain [1]."""
 OPEN_STD = 10.0
 """The same of what is fitted always and of which nothing is known, over the joint's torque [1]."""
 
+LOAD, LEVER = 0.1, 0.3
+"""Standard deviation of a load over the arm's mass, and of its lever over the arm's reach [1]."""
+
 FLOOR = 1e-4
 """Torque that is rounding of a log, over the joint's torque [1]."""
 
@@ -51,7 +55,7 @@ ROUNDING = 1e-9
 """Size of a column, relative to the largest torque, that is rounding."""
 
 FLAT = (EncoderOffset, KinematicError, BaseTilt)
-"""Smooth changes of the model: evaluated on the decimated samples, filtered before and not after."""
+"""Smooth changes of the model: evaluated on decimated samples, filtered before and not after."""
 
 LATER = ("backlash",)
 """Effects whose columns are costly: evaluated on joints where something is left to explain."""
@@ -76,8 +80,11 @@ class Term:
         spread: (C, C) root of the slab's covariance, spread spread'.
         low, high: (C,) least and largest correction of each coefficient.
         key: what it is, whatever its shape.
-        law: its joint's law of which it is one form, (branch, joint); None of what is a cause itself.
+        law: its joint's law of which it is one form, (branch, joint); None of what is a cause
+            itself.
         shapes: number of shapes of its key that are looked at.
+        change: (L, 10) of the links' parameters per unit of the one coefficient, of a mistake of
+            the robot's file.
         serial: of its own, by which its products with others are kept.
     """
 
@@ -92,6 +99,7 @@ class Term:
     key: tuple[object, ...]
     law: tuple[str, int] | None = None
     shapes: int = 1
+    change: np.ndarray | None = None
     serial: int = field(init=False, default_factory=itertools.count().__next__)
 
     @property
@@ -118,27 +126,29 @@ class Library:
 
     Args:
         problem: gap, samples, and what is looked for.
+        events: pushes and planes that are candidates, too.
+        at: the model at which columns are taken; the one as given if None.
 
     Attributes:
         gap: (n, N) what is to be explained, zero where samples do not count [N m; N].
         rows: (n,) samples that count.
-        known_noise: (n,) what the model was seen to leave on its own log, RMS [N m; N]: nothing below
-            it is explained.
+        known_noise: (n,) what the model was seen to leave on its own log, RMS [N m; N]: nothing
+            below it is explained.
         noise: (n,) RMS of what differs between repeats of a motion [N m; N]; nan without any.
         torque, size: (n,) RMS of the measured torque and of the gap [N m; N].
         nuisance: what is always fitted; None of a model that is taken as it is.
         terms: candidates.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, events: Sequence[Effect] = (), at: Model | None = None):
         self.problem = problem
         self.data: Data = problem.data
-        self.columns: Columns = problem.given
+        self.columns: Columns = problem.given if at is None else problem.given.at(at)
         self.samples = self.data.samples
         self.n = self.columns.n
         self.keep = self.data.keep.numpy().astype(float)
         self.rows = np.maximum(self.keep.sum(1), 1.0)
-        self.gap = self.columns.gap.numpy() * self.keep
+        self.gap = problem.given.gap.numpy() * self.keep
         tau = logged(self.columns).numpy() * self.keep
         self.torque = np.sqrt((tau**2).sum(1) / self.rows) + 1e-12
         self.size = np.sqrt((self.gap**2).sum(1) / self.rows) + 1e-4 * self.torque
@@ -150,14 +160,17 @@ class Library:
         self.noise = noise_of_repeats(problem)
         self.nuisance = self._nuisance()
         self._late: dict[int, list[Term]] = {}
-        self.terms = self._with_shapes([*self._of_joints(), *self._of_the_arm(), *self._bodies()])
+        self._windows: list[tuple[object, float, float]] = []
+        self.terms = self._with_shapes(
+            [*self._of_joints(), *self._of_the_arm(), *self._bodies(), *self._events(events)]
+        )
 
     # ------------------------------------------------------------------ one candidate
 
-    def term(self, effect: Effect, place: Place, columns: np.ndarray, **more: object) -> Term | None:
+    def term(self, effect: Effect, place: Place, columns: np.ndarray, **more: Any) -> Term | None:
         """An effect as a candidate; None of one that makes no torque in this log."""
         known = np.zeros(len(effect.coefficients))
-        for other, values in self.columns.model.effects:
+        for other, values in self.problem.given.model.effects:
             if other == effect:
                 known = known + np.array(values)
         low, _ = (np.array(v) for v in zip(*effect.ranges, strict=True))
@@ -167,7 +180,7 @@ class Library:
             std = np.full(len(known), self.data.gain_std)
         name, joints = effect.name, effect.joints
         law = (effect.law, joints[0]) if effect.law and len(joints) == 1 else None
-        fields = {"key": effect.identity, "law": law, "joints": joints, **more}
+        fields: dict[str, Any] = {"key": effect.identity, "law": law, "joints": joints, **more}
         return self._sized(name, effect, place, columns, std, low - known, high - known, **fields)
 
     def _sized(
@@ -179,7 +192,7 @@ class Library:
         std: np.ndarray,
         low: np.ndarray,
         high: np.ndarray,
-        **fields: object,
+        **fields: Any,
     ) -> Term | None:
         """A candidate whose slab is no wider than the gap allows."""
         columns = columns * (self.keep if place is None else self.keep[place])
@@ -198,13 +211,25 @@ class Library:
         scale = np.where(scale > 0, scale, 1.0)
         unit = precision / scale / scale[:, None] + SINGULAR * np.eye(len(scale))
         spread = np.linalg.inv(np.linalg.cholesky(unit)).T / scale[:, None]
-        return Term(name, effect, columns=columns, place=place, spread=spread, low=low, high=high, **fields)  # type: ignore[arg-type]
+        return Term(
+            name, effect, columns=columns, place=place, spread=spread, low=low, high=high, **fields
+        )
+
+    def same(self, term: Term) -> Term | None:
+        """A term of another library in this one; None of what makes no torque here."""
+        for t in self.terms:
+            if t.key == term.key and t.effect == term.effect and t.count == term.count:
+                return t
+        if term.effect is None or term.inertial:
+            return None
+        found = self.of_effect(term.effect, term)
+        return None if found is None else replace(found, key=term.key, shapes=term.shapes)
 
     def of_effect(self, effect: Effect, like: Term | None = None) -> Term | None:
         """A candidate from an effect, at its place; of one that all joints share, `like` that."""
         if like is not None and len(like.joints) > 1 and like.key[-1] == "shared":
             return self._shared(type(effect), like)
-        (place, columns), = self._columns([effect])
+        ((place, columns),) = self._columns([effect])
         return self.term(effect, place, columns)
 
     def _columns(self, effects: Sequence[Effect]) -> list[tuple[Place, np.ndarray]]:
@@ -213,7 +238,9 @@ class Library:
         if isinstance(first, FLAT):
             arm = self.columns.model.arm_of(first)
             at_samples = self._motion
-            return [(None, e.torque_columns(at_samples, arm).permute(2, 1, 0).numpy()) for e in effects]
+            return [
+                (None, e.torque_columns(at_samples, arm).permute(2, 1, 0).numpy()) for e in effects
+            ]
         if isinstance(first, TorqueCrosstalk):
             torque = logged(self.columns).numpy()
             return [(e.joint, torque[[e.read]]) for e in effects]  # type: ignore[attr-defined]
@@ -229,7 +256,9 @@ class Library:
         every = [smoothed(m, self.samples) for m in self.columns.motions]
         pick = {k: self.samples.pick([getattr(m, k) for m in every]) for k in Motion._fields[:3]}
         torque = self.samples.pick([m.require("torque", "columns") for m in every])
-        return together(every)._replace(**pick, torque=torque, t=self.samples.t, direction=None, age=None)
+        return together(every)._replace(
+            **pick, torque=torque, t=self.samples.t, direction=None, age=None
+        )
 
     def _with_shapes(self, terms: Iterable[Term | None]) -> list[Term]:
         """Candidates that make torque, each with the number of shapes of its key."""
@@ -237,14 +266,14 @@ class Library:
         count: dict[object, int] = {}
         for t in some:
             count[t.key] = count.get(t.key, 0) + 1
-        return [replace(t, shapes=count[t.key]) for t in some]
+        return [replace(t, shapes=max(t.shapes, count[t.key])) for t in some]
 
     # ------------------------------------------------------------------ all of them
 
     def _kinds(self) -> list[type[Effect]]:
         """Effects that are looked for and that the log can show."""
         kinds = [KINDS[name] for name in self.problem.wanted.names if name not in LATER]
-        return [k for k in kinds if not (k.needs & self.data.missing or k.inertial or k.windowed)]
+        return [k for k in kinds if not (k.needs & self.data.missing or k.windowed)]
 
     def _of_joints(self) -> Iterable[Term | None]:
         """Effects of one joint's motion, in all shapes of their grids."""
@@ -263,19 +292,19 @@ class Library:
                 names = [s.name for s in kind.shapes]
                 found = self.columns.of_shapes(kind, j, grid).numpy()
                 for values, columns in zip(grid.tolist(), found, strict=True):
-                    effect = kind(j, **dict(zip(names, values, strict=True)))
-                    yield self.term(effect, j, columns)
+                    shaped = kind(j, **dict(zip(names, values, strict=True)))
+                    yield self.term(shaped, j, columns)
         # The model's own, in shapes that no grid holds.
-        for effect, _ in self.columns.model.effects:
+        for effect, _ in self.problem.given.model.effects:
             if isinstance(effect, JointEffect) and effect.shapes and self.keep[effect.joint].any():
                 yield self.of_effect(effect)
 
     def _of_the_arm(self) -> Iterable[Term | None]:
         """Effects of the arm and its sensors, at all places; those that all joints share, too."""
         robot = self.columns.model.robot
-        bodies, there = are_bodies(robot), as_logged(self.columns)
+        bodies, there = are_bodies(self.problem.robot), as_logged(self.columns)
         for kind in self._kinds():
-            if not issubclass(kind, ModelEffect) or issubclass(kind, FileMistake):
+            if not issubclass(kind, ModelEffect) or kind.inertial:
                 continue
             if kind.of_bodies and not bodies:
                 continue
@@ -303,8 +332,9 @@ class Library:
         return self.term(each[0], None, columns, joints=joints, key=key, law=None)
 
     def _file_mistakes(self) -> Iterable[Term | None]:
-        """Mistakes of the robot's file, where its parameters may be wrong and were fitted to no log."""
-        wanted, robot = self.problem.wanted, self.columns.model.robot
+        """Mistakes of the robot's file, where its parameters may be wrong and were fitted to no
+        log."""
+        wanted, robot = self.problem.wanted, self.problem.given.model.robot
         if not wanted.inertial or wanted.free or wanted.knowledge is not None:
             return
         regressor = self.columns.regressor
@@ -316,29 +346,39 @@ class Library:
             made = [(e, change) for e, change in made if bool(change.any())]
             for effect, change in made:
                 columns = torch.tensordot(change, regressor, 2).unsqueeze(0).numpy()
-                yield self.term(effect, None, columns)
+                yield self.term(effect, None, columns, change=change.numpy())
             if kind.shared and len(made) > 1:
                 change = torch.stack([c for _, c in made]).sum(0)
                 columns = torch.tensordot(change, regressor, 2).unsqueeze(0).numpy()
-                yield self.term(made[0][0], None, columns, joints=(), key=(kind.name, "shared"))
+                shared = {"joints": (), "key": (kind.name, "shared"), "change": change.numpy()}
+                yield self.term(made[0][0], None, columns, **shared)
 
     def _bodies(self) -> Iterable[Term | None]:
         """Bodies: a load, the error of one link as usual or plainly wrong, and of all links."""
-        wanted, robot = self.problem.wanted, self.columns.model.robot
+        wanted, robot = self.problem.wanted, self.problem.given.model.robot
         regressor = self.columns.regressor.numpy()
         pi = robot.require_parameters("a diagnosis").pi.double()
         size, none = body_sizes(pi).numpy(), np.full(10, np.inf)
         if "payload" in wanted.names and not robot.tips:
             effect = KINDS["payload"]()
-            mass = max(0.2 * float(pi[:, 0].abs().sum()), 0.05 * self.scale.mass, 1e-3)
-            std = np.array([mass] + [0.1 * mass] * 3 + [0.02 * mass] * 6)
+            mass = LOAD * max(float(pi[:, 0].abs().sum()), self.scale.mass)
+            lever = LEVER * self.scale.length
+            std = mass * np.array([1.0] + [lever] * 3 + [lever**2] * 6)
             low = np.where(np.arange(10) == 0, 0.0, -np.inf)
             yield self._sized(
-                "payload", effect, None, regressor[-1], std, low, none, key=effect.identity, joints=()
+                "payload",
+                effect,
+                None,
+                regressor[-1],
+                std,
+                low,
+                none,
+                key=effect.identity,
+                joints=(),
             )
-        if not wanted.inertial or wanted.free or wanted.knowledge is not None and not wanted.names:
+        if not wanted.inertial or wanted.free:
             return
-        links = [l for l in robot.bodies if l in robot.own_links]
+        links = [link for link in robot.bodies if link in robot.own_links]
         if "link_inertia" in wanted.names:
             for link in links:
                 effect = KINDS["link_inertia"](robot.own_links.index(link))  # type: ignore[call-arg]
@@ -355,6 +395,36 @@ class Library:
                 BASE, None, None, columns, BODY_STD * every, -free, free, key=(BASE,), joints=()
             )
 
+    def _events(self, events: Sequence[Effect]) -> Iterable[Term | None]:
+        """What was found in a window of time, or at an end of the travel."""
+        for effect in events:
+            place, columns = self.columns.of(effect)
+            more = {"key": self._event(effect), "shapes": len(self._spans()), "law": None}
+            yield self.term(effect, place, columns.numpy(), **more)
+
+    def _spans(self) -> list[tuple[int, int]]:
+        """Windows in which a push is looked for: first sample, and the one behind the last."""
+        out = []
+        for own in self.samples.bounds:
+            for seconds in WINDOWS_S:
+                size = max(3, round(seconds / self.samples.interval))
+                first = range(own.start, own.stop - size, max(1, size // 4))
+                out += [(i, i + size) for i in first]
+        return out
+
+    def _event(self, effect: Effect) -> tuple[object, ...]:
+        """What an event is, whatever its shape: of two pushes at one place whose windows overlap
+        the one is the other."""
+        if not isinstance(effect, Contact):
+            return (*effect.identity, getattr(effect, "side", ""))
+        place = effect.tip, effect.along
+        start, stop = (float(t) for t in (effect.start or 0.0, effect.stop or 0.0))
+        for k, (where, a, b) in enumerate(self._windows):
+            if where == place and start < b and a < stop:
+                return (effect.name, k)
+        self._windows.append((place, start, stop))
+        return (effect.name, len(self._windows) - 1)
+
     # ------------------------------------------------------------------ what is always fitted
 
     def _nuisance(self) -> Term | None:
@@ -365,7 +435,7 @@ class Library:
         if wanted.knowledge is None:
             return None
         # Links' parameters, and coefficients of the model's own effects, whose names are known.
-        own = [(e, known_names(e)) for e, _ in self.columns.model.effects if not e.event]
+        own = [(e, known_names(e)) for e, _ in self.problem.given.model.effects if not e.event]
         own = [(e, names) for e, names in own if set(names) <= set(wanted.knowledge.coefficients)]
         known = wanted.knowledge.over([x for _, names in own for x in names]).information.numpy()
         parts = [self.columns.regressor.flatten(0, 1).numpy()]
@@ -434,36 +504,25 @@ class Library:
         std = 0.5 * (self.torque / np.maximum(size, 1e-9)).min(1)
         squares = np.einsum("anN,bnN,n->Nab", pull, pull, weight)
         right = np.einsum("anN,nN,n->Na", pull, left, weight)
-        found, looked = list[tuple[float, int, int]](), 0
-        for own in self.samples.bounds:
-            # Sums over any window are differences of running sums.
-            g = np.concatenate([np.zeros_like(squares[:1]), squares[own].cumsum(0)])
-            b = np.concatenate([np.zeros_like(right[:1]), right[own].cumsum(0)])
-            length = own.stop - own.start
-            for seconds in WINDOWS_S:
-                size_ = max(3, round(seconds / self.samples.interval))
-                first = np.arange(0, length - size_, max(1, size_ // 4))
-                if not len(first):
-                    continue
-                looked += len(first)
-                a, v = g[first + size_] - g[first], b[first + size_] - b[first]
-                a = np.eye(len(std)) + a * std * std[:, None]
-                v = v * std
-                held = (v * np.linalg.solve(a, v[..., None])[..., 0]).sum(1)
-                gains = 0.5 * (held - np.linalg.slogdet(a)[1])
-                found += [
-                    (gain, own.start + i, own.start + i + size_)
-                    for gain, i in zip(gains.tolist(), first.tolist(), strict=True)
-                ]
+        # Sums over any window are differences of running sums.
+        spans = np.array(self._spans()).reshape(-1, 2)
+        g = np.concatenate([np.zeros_like(squares[:1]), squares.cumsum(0)])
+        b = np.concatenate([np.zeros_like(right[:1]), right.cumsum(0)])
+        a, v = (x[spans[:, 1]] - x[spans[:, 0]] for x in (g, b))
+        a, v = np.eye(len(std)) + a * std * std[:, None], v * std
+        held = (v * np.linalg.solve(a, v[..., None])[..., 0]).sum(1)
+        gains = 0.5 * (held - np.linalg.slogdet(a)[1])
+        looked = len(spans)
+        found = sorted(zip(gains.tolist(), *spans.T.tolist(), strict=True), reverse=True)
         t, taken, out = self.samples.t.numpy(), list[tuple[int, int]](), list[Term]()
-        for gain, i, k in sorted(found, reverse=True):
+        for gain, i, k in found:
             if len(taken) >= PUSHES or gain < np.log(max(looked, 1)):
                 break
             if all(k <= a or i >= z for a, z in taken):
                 taken.append((i, k))
                 push = replace(base, start=float(t[i]), stop=float(t[k - 1]))
                 place, columns = self.columns.of(push)
-                key = ("contact", round(float(t[i]), 3))
+                key = self._event(push)
                 term = self.term(push, place, columns.numpy(), key=key, shapes=looked)
                 out += [] if term is None else [term]
         return out

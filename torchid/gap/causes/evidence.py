@@ -3,16 +3,16 @@
     E(S) = -1/2 sum_j n_j log L_j - 1/2 x'P x - 1/2 log|I + P^-1/2 G P^-1/2|
            - sum_causes log(looks / EXPECTED) - sum_terms log(shapes)
 
-S is a set of terms with coefficients x, P the inverse covariance of their Gaussian slabs, G the normal
-matrix with each joint's squares in units of what is left, L_j the squares left on joint j. Slabs make
-ten numbers of a body, or six of a law, pay for themselves (MacKay 1992, Neural Computation 4(3);
-Zellner 1986). L_j is profiled over the size of the noise, which is no less than what the model was seen to leave on
-the log that it was made from.
+S is a set of terms with coefficients x, P the inverse covariance of their Gaussian slabs, G the
+normal matrix with each joint's squares in units of what is left, L_j the squares left on joint j.
+Slabs make ten numbers of a body, or six of a law, pay for themselves (MacKay 1992, Neural
+Computation 4(3); Zellner 1986). L_j is profiled over the size of the noise, which is no less than
+what the model was seen to leave on the log that it was made from.
 
 n_j belongs to a pair of explanations: the samples that tell them apart, rows over the correlation
 time of (what the better one leaves) times (the difference of their torques) (Bayley and Hammersley
-1946), fewer where the noise is louder where they differ (White 1980). So E is no function of S alone,
-and two explanations are compared with the same samples, both fitted with them.
+1946), fewer where the noise is louder where they differ (White 1980). So E is no function of S
+alone, and two explanations are compared with the same samples, both fitted with them.
 """
 
 import math
@@ -25,11 +25,16 @@ from scipy.linalg import block_diag
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from torchid.gap.causes.candidates import Library, Term
+from torchid.gap.wanted import BASE
 from torchid.statistics.autocorrelation import autocorrelation, time_of
-from torchid.statistics.criteria import EXPECTED
+from torchid.statistics.criteria import EXPECTED, WRONG_FILE
 
-ROUNDS = 3
-"""Times that coefficients and the sizes of the noise are fitted in turn."""
+ROUNDS, CONVERGED = 30, 1e-4
+"""Times that coefficients and the sizes of the noise are fitted in turn at most, and the relative
+change of what is left from which on they are not."""
+
+PINS = 3
+"""Times that coefficients beyond what physics allows are held at their bound."""
 
 KEPT = 64
 """Sets whose normal equations are kept for those that have one term more."""
@@ -142,8 +147,8 @@ class Evidence:
         return self._pairs[key]
 
     def normal(self, terms: Sequence[Term]) -> np.ndarray:
-        """Normal matrices (n, K + 1, K + 1) of terms, the gap last; one more term is appended to those
-        of the others."""
+        """Normal matrices (n, K + 1, K + 1) of terms, the gap last; one more term is appended to
+        those of the others."""
         key = tuple(t.serial for t in terms)
         if key in self._sets:
             return self._sets[key]
@@ -185,7 +190,7 @@ class Evidence:
         high = np.concatenate([np.zeros(0), *(t.high for t in every)])
         pinned, at = np.zeros(len(low), bool), np.zeros(len(low))
         slack = 1e-9 * np.abs(spread).max(1, initial=0.0)
-        for _ in range(ROUNDS):
+        for _ in range(PINS):
             x, losses, known = solved(g, spread, samples, self.floor, pinned, at)
             below = (x < low - slack) & ~pinned
             if not below.any():
@@ -195,7 +200,12 @@ class Evidence:
         return Fit(terms, samples, x, losses, known, self._allowed(terms, x, low, high, pinned))
 
     def _allowed(
-        self, terms: Sequence[Term], x: np.ndarray, low: np.ndarray, high: np.ndarray, pinned: np.ndarray
+        self,
+        terms: Sequence[Term],
+        x: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        pinned: np.ndarray,
     ) -> bool:
         """Whether every cause is still there, and none larger than on any arm."""
         first = len(x) - sum(t.count for t in terms)
@@ -206,8 +216,6 @@ class Evidence:
             gone = pinned[own]
             essential = t.effect.essential if t.effect is not None else ()
             needed = list(essential) or list(range(t.count))
-            if t.name == "payload":
-                needed = [0]
             if all(gone[k] for k in needed):
                 return False
             first += t.count
@@ -235,7 +243,9 @@ class Evidence:
         """Autocorrelations (n, L) of what a fit leaves."""
         left = self.left(fit)
         if id(fit) not in self._slow:
-            self._slow[id(fit)] = autocorrelation(torch.from_numpy(left), self.library.samples.bounds)
+            self._slow[id(fit)] = autocorrelation(
+                torch.from_numpy(left), self.library.samples.bounds
+            )
         return self._slow[id(fit)]
 
     def independent(self, fit: Fit) -> np.ndarray:
@@ -268,6 +278,8 @@ class Evidence:
         out = len(causes) * math.log(self.looks / EXPECTED)
         for t in terms:
             out += math.log(t.shapes * self.forms.get(t.cause, 1))
+            # A file that is wrong throughout is less likely than one cause.
+            out -= math.log(WRONG_FILE) if t.name == BASE else 0.0
         return out
 
     def value(self, fit: Fit) -> float:
@@ -321,7 +333,9 @@ def solved(
         return x, np.maximum(np.append(x, -1.0) @ g @ np.append(x, -1.0), floor), 0.0
     if not free.all():
         # The slab of the others, whatever those that are held are.
-        spread = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(spread @ spread.T)[np.ix_(free, free)])).T
+        spread = np.linalg.inv(
+            np.linalg.cholesky(np.linalg.inv(spread @ spread.T)[np.ix_(free, free)])
+        ).T
     half = 0.0
     for _ in range(ROUNDS):
         h = np.tensordot(samples / losses, g, 1)
@@ -331,8 +345,10 @@ def solved(
         z, half = posterior(spread.T @ a @ spread, b @ spread)
         x[free] = spread @ z
         v = np.append(x, -1.0)
-        losses = np.maximum((v @ g) @ v, floor)
+        before, losses = losses, np.maximum((v @ g) @ v, floor)
         half += 0.5 * float(z @ z)
+        if (np.abs(losses - before) <= CONVERGED * before).all():
+            break
     return x, losses, half
 
 

@@ -2,32 +2,39 @@
 
 In the place of a term there may be nothing, or another term of the library. On logs that might have
 been, blocks of samples drawn again with replacement, half as many as there are (Huggins and Miller
-2023, Bayesian Analysis 18(4)), each explanation has its evidence: the likelihood of the drawn samples,
-and what its coefficients and the looking cost in proportion to the drawn samples. A probability is a
-mean over the draws. What a rival adds beside the term speaks for neither.
+2023, Bayesian Analysis 18(4)), each explanation has its evidence: the likelihood of the drawn
+samples, and what its coefficients and the looking cost in proportion to the drawn samples. A
+probability is a mean over the draws. What a rival adds beside the term speaks for neither.
 
-What is left without a cause bounds how sure the others can be: odds against are at least `DOUBT` times
-its share of the squares.
+What is left without a cause bounds how sure the others can be: odds against are at least `DOUBT`
+times its share of the squares.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from torchid.effects.friction import CoulombFriction, ViscousFriction
+from torchid.effects.periodic import Cogging
+from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.search import Search, excluding
+from torchid.gap.causes.search import STEP, Search, excluding
 from torchid.statistics.bagging import Draws
-from torchid.statistics.criteria import SET_MASS
+from torchid.statistics.criteria import SET_MASS, WRONG_FILE
+
+WAVES = 4
+"""The longest of the grid, of which any smooth curve over a joint's position is: up to three
+periods."""
 
 NEARLY = 0.8
 """Probability, over that of the likeliest, from which an explanation is nearly as likely [1]: the
 simplest of these gives the name."""
 
 DOUBT = 16 / 9
-"""Odds against a cause, over the share of the squares that has no cause [1]: with a quarter of the RMS
-left a cause is 90 % sure at most, with half of it 69 %."""
+"""Odds against a cause, over the share of the squares that has no cause [1]: with a quarter of the
+RMS left a cause is 90 % sure at most, with half of it 69 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +43,7 @@ class Judged:
 
     Attributes:
         term: of the explanation.
+        own: probability of the term itself.
         name: the term that gives the name: the simplest of those nearly as likely.
         sure: probability of `name`.
         nothing: that nothing is there.
@@ -47,9 +55,10 @@ class Judged:
 
     term: Term
     name: Term
+    own: float
     sure: float
     nothing: float
-    members: tuple[tuple[Term, float], ...]
+    members: tuple[tuple[tuple[Term, ...], float], ...]
     law: float
     fall: np.ndarray
 
@@ -72,51 +81,133 @@ def judge(search: Search, fit: Fit, left: np.ndarray, draws: Draws) -> list[Judg
     return [judged(search, fit, t, left, draws) for t in fit.terms]
 
 
+def is_one_curve(search: Search, fit: Fit, terms: Sequence[Term]) -> bool:
+    """Whether several terms of a joint's law over its position are told from no other smooth curve:
+    its springs and longest waves together, whose coefficients cost nothing, do as well as one
+    cause.
+
+    Args:
+        search: that found them.
+        fit: the explanation.
+        terms: of one joint's law.
+    """
+    evidence, joint = search.evidence, terms[0].joints[0]
+    grid = Cogging.grid(search.library.columns.motions, joint, search.library.samples.cutoff)
+    longest = grid[:WAVES, 0].tolist()
+    curve = [
+        t
+        for t in search.library.terms
+        if t.place == joint
+        and (
+            isinstance(t.effect, JointSpring)
+            or (isinstance(t.effect, Cogging) and t.effect.k in longest)
+        )
+    ]
+    free = [replace(t, low=np.full(t.count, -np.inf)) for t in curve]
+    other = evidence.fit((*excluding(fit.terms, terms), *free), fit.samples)
+    samples = evidence.telling(fit, other)
+    ratio = 0.5 * float((samples * np.log(fit.losses / other.losses)).sum())
+    return ratio + (len(terms) - 1) * evidence.price(terms[:1]) > 0
+
+
 def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws) -> Judged:
     """One term of an explanation."""
     evidence, library = search.evidence, search.library
     others = excluding(fit.terms, [term])
     base = evidence.fit(others, fit.samples)
-    likely = search.likely(base, frozenset({term.key}))
-    tried = [(u, evidence.fit((*others, u), fit.samples)) for u in likely]
-    # Evidence is of pairs: a rival must be likelier than nothing by itself.
-    rivals = [(u, f) for u, f in tried if f.allowed and evidence.over(f, base) > 0]
+    likely = [(u,) for u in search.likely(base, frozenset({term.key}))]
+    tried = [
+        (u, evidence.fit((*others, *u), fit.samples)) for u in (*likely, *_pair(search, fit, term))
+    ]
+    # Evidence is of pairs: a rival must be likelier than nothing, by what it does not explain
+    # beside the term as well.
+    rivals, beside = list[tuple[tuple[Term, ...], Fit]](), list[float]()
+    for u, f in tried:
+        alone, both = evidence.over(f, base), 0.0
+        if alone > STEP:
+            both = max(0.0, evidence.over(evidence.fit((*fit.terms, *u), fit.samples), fit))
+        if alone > both + STEP:
+            rivals.append((u, f))
+            beside.append(both)
     effect = term.effect
     rare = effect is not None and (effect.event or effect.at_ends)
     asked = draws.as_it_is if rare else draws
-    masses = probabilities(search, fit, [base, *(f for _, f in rivals)], asked, _beside(search, fit, rivals))
-    own, nothing, every = masses[0], masses[1], [(term, masses[0])]
-    every += [(u, p) for (u, _), p in zip(rivals, masses[2:], strict=True)]
+    masses = probabilities(search, fit, [base, *(f for _, f in rivals)], asked, beside)
+    own, nothing, *others_sure = masses
+    for k, (u, f) in enumerate(rivals):
+        if len(u) == 1 and _same_columns(term, u[0]) and search.alike(f, fit, base):
+            # A load and an error of its link are one torque: nothing but the file tells which.
+            both = own + others_sure[k]
+            own, others_sure[k] = both * (1 - WRONG_FILE), both * WRONG_FILE
+    every: list[tuple[tuple[Term, ...], float]] = [((term,), own)]
+    every += [(u, p) for (u, _), p in zip(rivals, others_sure, strict=True)]
     every.sort(key=lambda pair: -pair[1])
     # The smallest set, and the simplest of those that are nearly as likely as the likeliest.
-    members, held = list[tuple[Term, float]](), 0.0
+    members, held = list[tuple[tuple[Term, ...], float]](), 0.0
     for pair in every:
         if held >= SET_MASS * (1 - nothing):
             break
         members.append(pair)
         held += pair[1]
-    near = [t for t, p in every if p >= NEARLY * every[0][1]]
-    name = min(near, key=lambda t: (t.count, t is not term))
-    of = dict((id(t), p) for t, p in every)
-    law = sum(p for t, p in every if t.cause == name.cause)
+    single = [(t[0], p) for t, p in every if len(t) == 1]
+    near = [(t, p) for t, p in single if p >= NEARLY * single[0][1]]
+    name, sure = min(near, key=lambda pair: (pair[0].count, pair[0] is not term))
+    law = sum(p for t, p in every if t[0].cause == name.cause)
     fall = np.maximum(base.losses - fit.losses, 0.0) / library.rows
-    bound = _bound(fall, left)
+    if rare:
+        # What happened once, or at an end of the travel, is judged where it acts.
+        left = np.full_like(left, _left_where_it_acts(search, fit, base))
+    bound = _bound(fall, left, (library.gap**2).sum(1) / library.rows)
     return Judged(
-        term, name, min(of[id(name)], bound), max(nothing, 0.0), tuple(members), min(law, bound), fall
-    )
+        term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
+        min(law, bound), fall,
+    )  # fmt: skip
 
 
-def _bound(fall: np.ndarray, left: np.ndarray) -> float:
-    """How sure a cause can be beside what is left: by its joints' shares, and the whole arm's."""
-    own = float((fall * left[:-1]).sum() / max(fall.sum(), 1e-300))
-    return 1 / (1 + DOUBT * max(own, float(left[-1])))
+def _same_columns(one: Term, other: Term) -> bool:
+    """Whether two terms have the same columns."""
+    if one.place != other.place or one.columns.shape != other.columns.shape:
+        return False
+    return bool(np.array_equal(one.columns, other.columns))
 
 
-def _beside(search: Search, fit: Fit, rivals: Sequence[tuple[Term, Fit]]) -> list[float]:
-    """What each rival adds beside the term, on other joints say [nats]."""
-    evidence = search.evidence
-    both = [evidence.fit((*fit.terms, u), fit.samples) for u, _ in rivals]
-    return [max(0.0, evidence.over(b, fit)) if b.allowed else 0.0 for b in both]
+def _pair(search: Search, fit: Fit, term: Term) -> list[tuple[Term, ...]]:
+    """Dry and viscous friction of a joint together, in the place of another form of its law."""
+    if term.law is None or term.law[0] != "friction":
+        return []
+    there = {t.key for t in fit.terms}
+    found: dict[str, Term] = {}
+    for t in search.library.terms:
+        plain = t.name in (ViscousFriction.name, CoulombFriction.name) and t.law == term.law
+        if plain and t.key not in there:
+            found.setdefault(t.name, t)
+    return [tuple(found.values())] if len(found) == 2 else []
+
+
+def _left_where_it_acts(search: Search, fit: Fit, without: Fit) -> float:
+    """Share of the squares that is left of a gap where a term acts, each joint in units of what is
+    left of it."""
+    after, before = search.evidence.left(fit), search.evidence.left(without)
+    unit = np.sqrt(fit.losses)[:, None]
+    acts = np.abs(before - after).max(0)
+    acts = acts > 0.1 * acts.max()
+    noise = (fit.losses / search.library.rows)[:, None] / unit**2
+    a, b = ((x[:, acts] / unit) ** 2 - noise for x in (after, before))
+    return float(np.clip(a.sum() / max(b.sum(), 1e-300), 0.0, 1.0))
+
+
+def _bound(fall: np.ndarray, left: np.ndarray, before: np.ndarray) -> float:
+    """How sure a cause can be beside what is left without one: of the squares that it and the rest
+    take on its joints, and of the whole arm's.
+
+    Args:
+        fall: (n,) mean squares that it takes.
+        left: (n + 1,) share of each joint's mean squares (n,) that is left, and the arm's.
+        before: (n,) those.
+    """
+    rest = left[:-1] * before
+    share = float((fall * rest / np.maximum(fall + rest, 1e-300)).sum() / max(fall.sum(), 1e-300))
+    return 1 / (1 + DOUBT * max(share, float(left[-1])))
 
 
 def probabilities(

@@ -1,8 +1,11 @@
-"""What an explanation leaves that is no noise: over what repeats, or what a flexible predictor foresees.
+"""What an explanation leaves that is no noise: over what repeats, or what a flexible predictor
+foresees.
 
-The predictor is ridge regression on random Fourier features of the state (Rahimi and Recht 2007), each
-part of the log foreseen by the others.
+The predictor is ridge regression on random Fourier features of the state (Rahimi and Recht 2007),
+each part of the log foreseen by the others.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import solve
@@ -33,7 +36,9 @@ def foreseen(problem: Problem, left: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng(problem.settings.seed)
     part, keep = problem.folds.fold.numpy(), problem.data.keep.numpy().astype(float)
     motions, samples = problem.given.motions, problem.data.samples
-    q, dq, ddq = (samples.pick([getattr(m, k) for m in motions]).numpy() for k in ("q", "dq", "ddq"))
+    q, dq, ddq = (
+        samples.pick([getattr(m, k) for m in motions]).numpy() for k in ("q", "dq", "ddq")
+    )
     tau = samples.of([m.require("torque", "a predictor").T for m in motions]).numpy().T
 
     def unit(x: np.ndarray) -> np.ndarray:
@@ -44,7 +49,9 @@ def foreseen(problem: Problem, left: np.ndarray) -> np.ndarray:
         if not keep[j].any():
             continue
         speed = np.tanh(dq[:, j] / (0.05 * dq[:, j].std() + 1e-9))
-        own = unit(np.stack([q[:, j], dq[:, j], speed, ddq[:, j], tau[:, j]], 1))
+        turned = since_reversal(q[:, j], dq[:, j], samples.bounds)
+        near = np.tanh(turned / (0.2 * np.abs(turned).std() + 1e-9))
+        own = unit(np.stack([q[:, j], dq[:, j], speed, ddq[:, j], tau[:, j], turned, near], 1))
         state = np.concatenate([own, OTHERS * unit(q), OTHERS * unit(dq)], 1)
         waves = rng.normal(size=(state.shape[1], FEATURES)) * WIDTH
         x = np.cos(state @ waves + rng.uniform(0, 2 * np.pi, FEATURES))
@@ -56,6 +63,17 @@ def foreseen(problem: Problem, left: np.ndarray) -> np.ndarray:
             told[b] = x[b] @ solve(normal, x[a].T @ y[a], assume_a="pos")
         share[j] = max(0.0, 1 - ((y - told) ** 2).sum() / max((y**2).sum(), 1e-300))
     return share
+
+
+def since_reversal(q: np.ndarray, dq: np.ndarray, bounds: Sequence[slice]) -> np.ndarray:
+    """Displacement (N,) of a joint since it last turned, or since its trajectory began [rad; m]."""
+    out = np.zeros_like(q)
+    for own in bounds:
+        turns = np.flatnonzero(np.diff(np.sign(dq[own])) != 0) + 1
+        begin = np.zeros(own.stop - own.start, int)
+        begin[turns] = turns
+        out[own] = q[own] - q[own][np.maximum.accumulate(begin)]
+    return out
 
 
 def noise_of_repeats(problem: Problem) -> np.ndarray:

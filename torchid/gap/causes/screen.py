@@ -1,11 +1,12 @@
 """Candidates in the order of what they promise: the rise of the evidence to first order.
 
-Beside a fit with noise as it leaves it, a candidate with columns X and slab S raises the evidence by
+Beside a fit with noise as it leaves it, a candidate with columns X and slab S raises the evidence
+by
 
     1/2 z'z - 1/2 log|I + S^1/2 H S^1/2|,   H = X'W X - X'W A C A'W X
 
-A being the columns of the fit and C their covariance. Products of candidates with each other are never
-needed; those with a term of the fit are made once.
+A being the columns of the fit and C their covariance. Products of candidates with each other are
+never needed; those with a term of the fit are made once.
 """
 
 import math
@@ -14,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from torchid.design.columns import Place
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.evidence import Evidence, Fit, spread_of, whitening
-from torchid.design.columns import Place
 
 
 @dataclass(frozen=True, eq=False)

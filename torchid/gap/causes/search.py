@@ -1,9 +1,9 @@
 """One search: causes join, leave, are exchanged and refined while the evidence rises.
 
 Candidates are ranked with all samples, for noise that the missing cause itself makes leaves few of
-them; the ten most likely are fitted, and each is compared with the samples that tell it from the set
-at hand. The number of samples belongs to a pair, so that steps may lead back: a set that was visited
-is not taken again.
+them; the ten most likely are fitted, and each is compared with the samples that tell it from the
+set at hand. The number of samples belongs to a pair, so that steps may lead back: a set that was
+visited is not taken again.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,22 +11,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from torchid.effects.base import JointEffect, ModelEffect
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.evidence import Evidence, Fit, solved, spread_of
 from torchid.gap.causes.screen import Screen
-from torchid.effects.base import JointEffect, ModelEffect
 from torchid.statistics.blocks import block_numbers
 
 TRIED = 10
 """Candidates that are fitted in a step."""
 
-MOST = 20
-"""Terms of an explanation at most."""
+SEEDS = 4
+"""Likeliest candidates that are tried with a second one where none helps alone."""
+
+ALIKE = 1e-4
+"""Share of the squares of a torque by which two are the same in a log [1]: of these the simpler
+one, which the library has first, is taken."""
 
 STEP = 0.5
 """Rise of the evidence from which a step is taken [nats]."""
 
-LEVELS = 2
+SWAPS = 20
+"""Exchanges at most, one after the other."""
+
+LEVELS = 3
 """Times that a shape is refined, each time three times more closely."""
 
 ROUNDS = 3
@@ -64,14 +71,14 @@ class Search:
 
     Args:
         library: of the candidates.
-        watch: called with each fit that the search goes on from.
+        watch: called with the search and each fit that it goes on from.
     """
 
-    def __init__(self, library: Library, watch: Callable[[str, Fit, float], None] | None = None):
+    def __init__(self, library: Library, watch: "Callable[[Search, Fit], None] | None" = None):
         self.library = library
         self.evidence = Evidence(library)
         self.screen = Screen(self.evidence)
-        self.watch = watch or (lambda step, fit, rise: None)
+        self.watch = watch or (lambda search, fit: None)
         self.visited: set[frozenset[int]] = set()
 
     def empty(self) -> Fit:
@@ -83,11 +90,19 @@ class Search:
         """A fit with the samples that are independent in what it leaves."""
         return self.evidence.fit(fit.terms, self.evidence.independent(fit))
 
-    def explanation(self) -> Found:
-        """The likeliest set of causes whose every member is worth its name."""
+    def explanation(self, start: Sequence[Term] = ()) -> Found:
+        """The likeliest set of causes whose every member is worth its name.
+
+        Args:
+            start: terms that the search begins with.
+        """
+        self.visited.clear()
         # Pushes first: a law that acts at an end or beyond a limit would explain one.
         fit = self.empty()
         self._offer(self._pushes(fit))
+        if start:
+            fit = self.again(self.evidence.fit(start, fit.samples))
+            fit = self.shrink(fit)
         fit = self.grow(fit)
         self._offer([*self.library.plays(self._open(fit)), *self._pushes(fit)])
         for _ in range(ROUNDS):
@@ -106,11 +121,13 @@ class Search:
             self.screen.best(fit, samples, TRIED, without)
             for samples in (self.library.rows, self.evidence.independent(fit))
         ]
-        return list({t.serial: t for some in ranked for _, t in some}.values())
+        found = {t.serial: t for some in ranked for _, t in some}
+        return [found[serial] for serial in sorted(found)]
 
-    def _take(self, step: str, fit: Fit, rise: float) -> Fit:
+    def _take(self, fit: Fit) -> Fit:
+        """The fit that the search goes on from."""
         self.visited.add(frozenset(t.serial for t in fit.terms))
-        self.watch(step, fit, rise)
+        self.watch(self, fit)
         return self.again(fit)
 
     def _better(self, fits: Sequence[Fit], now: Fit, least: float) -> tuple[float, Fit] | None:
@@ -121,19 +138,41 @@ class Search:
             if frozenset(t.serial for t in fit.terms) in self.visited:
                 continue
             rise = self.evidence.over(fit, now)
-            if rise > (least if best is None else best[0]):
+            # Of what makes the same torque in this log the first of the library is taken.
+            if best is None:
+                best = (rise, fit) if rise > least else None
+            elif rise > best[0] and not self.alike(fit, best[1], now):
                 best = rise, fit
         return best
 
+    def alike(self, one: Fit, other: Fit, now: Fit) -> bool:
+        """Whether two explanations change what is left in the same way."""
+        left, a, b = (self.evidence.left(f) for f in (now, one, other))
+        return float(((a - b) ** 2).sum()) <= ALIKE * float(((left - b) ** 2).sum())
+
     def grow(self, fit: Fit) -> Fit:
         """Causes join, and what they make superfluous leaves."""
-        while len(fit.terms) < MOST:
+        while len(fit.terms) < self.library.problem.settings.max_effects:
             tried = [self.evidence.fit((*fit.terms, t), fit.samples) for t in self.likely(fit)]
-            step = self._better(tried, fit, STEP)
+            step = self._better(tried, fit, STEP) or self._better(
+                self._pairs(tried, fit), fit, STEP
+            )
             if step is None:
                 return fit
-            fit = self.shrink(self._take("+", step[1], step[0]))
+            # Its shape comes first: what a coarse one leaves would get names.
+            before, fit = len(fit.terms), self._take(step[1])
+            fit = self.shrink(self.refine(fit, range(before, len(fit.terms))))
         return fit
+
+    def _pairs(self, tried: Sequence[Fit], now: Fit) -> list[Fit]:
+        """Two terms at once: beside what one alone leaves, few samples may tell of it."""
+        likely = sorted(tried, key=lambda f: -self.evidence.over(f, now))[:SEEDS]
+        out = []
+        for one in (f for f in likely if f.allowed):
+            for samples in (self.library.rows, self.evidence.independent(one)):
+                for _, other in self.screen.best(one, samples, SEEDS):
+                    out.append(self.evidence.fit((*one.terms, other), now.samples))
+        return out
 
     def shrink(self, fit: Fit) -> Fit:
         """Terms leave that the evidence does not need."""
@@ -142,36 +181,38 @@ class Search:
             step = self._better(tried, fit, 0.0)
             if step is None:
                 return fit
-            fit = self._take("-", step[1], step[0])
+            fit = self._take(step[1])
         return fit
 
     def swap(self, fit: Fit) -> Fit:
         """One term is exchanged for another, which must be likelier than nothing in its place, too:
         evidence is of pairs."""
-        for _ in range(MOST):
+        for _ in range(SWAPS):
             tried: list[Fit] = []
             for t in fit.terms:
                 rest = excluding(fit.terms, [t])
                 base = self.evidence.fit(rest, fit.samples)
                 for other in self.likely(base):
-                    if other is not t:
-                        tried.append(self.evidence.fit((*rest, other), fit.samples))
+                    then = self.evidence.fit((*rest, other), fit.samples)
+                    alike = other.count >= t.count and self.alike(then, fit, base)
+                    if other is not t and not alike:
+                        tried.append(then)
             step = self._better(tried, fit, STEP)
             while step is not None:
-                rest = step[1].terms[:-1]
-                base = self.evidence.fit(rest, fit.samples)
-                if self.evidence.over(step[1], base) > 0:
+                then = step[1]
+                base = self.evidence.fit(then.terms[:-1], fit.samples)
+                if self.evidence.over(then, base) > 0:
                     break
-                tried = [f for f in tried if f is not step[1]]  # type: ignore[index]
+                tried = [f for f in tried if f is not then]
                 step = self._better(tried, fit, STEP)
             if step is None:
                 return fit
-            fit = self.shrink(self._take("~", step[1], step[0]))
+            fit = self.shrink(self._take(step[1]))
         return fit
 
-    def refine(self, fit: Fit) -> Fit:
-        """Shapes, and secants of changes of the model, a little otherwise."""
-        for k in range(len(fit.terms)):
+    def refine(self, fit: Fit, which: Sequence[int] | None = None) -> Fit:
+        """Shapes, and secants of changes of the model, a little otherwise: of some terms or all."""
+        for k in range(len(fit.terms)) if which is None else which:
             for level in range(LEVELS):
                 term, values = fit.terms[k], fit.values()[k]
                 fits = [
@@ -197,13 +238,15 @@ class Search:
             names = [s.name for s in effect.shapes]
             found = library.columns.of_shapes(type(effect), effect.joint, shapes).numpy()
             made = [
-                library.term(replace(effect, **dict(zip(names, v, strict=True))), effect.joint, x)  # type: ignore[arg-type]
+                library.term(replace(effect, **dict(zip(names, v, strict=True))), effect.joint, x)
                 for v, x in zip(shapes.tolist(), found, strict=True)
             ]
         else:
             assert isinstance(effect, ModelEffect)
             there = [] if len(term.joints) > 1 else [effect.at_estimate(values.tolist())]
-            near = [e for e in (*there, *effect.around(level, library.samples.interval)) if e != effect]
+            near = [
+                e for e in (*there, *effect.around(level, library.samples.interval)) if e != effect
+            ]
             made = [library.of_effect(e) for e in near]
         return [replace(t, shapes=term.shapes, key=term.key) for t in made if t is not None]
 
@@ -215,7 +258,10 @@ class Search:
         """Joints on which something is left to explain: more than differs between repeats; or, of a
         log without any, what is slower than noise."""
         library = self.library
-        size, slow = np.sqrt(fit.losses / library.rows), library.rows / self.evidence.independent(fit)
+        size, slow = (
+            np.sqrt(fit.losses / library.rows),
+            library.rows / self.evidence.independent(fit),
+        )
         more = np.where(np.isnan(library.noise), slow > SLOW, size > MORE * library.noise)
         return [j for j in range(library.n) if more[j] and library.keep[j].any()]
 
@@ -230,34 +276,77 @@ class Search:
 
     # ------------------------------------------------------------------ worth
 
-    def left_out(self, terms: Sequence[Term], part: np.ndarray, samples: np.ndarray) -> np.ndarray:
-        """Sums of squares (n,) that terms leave on parts of the log that they are not fitted on.
+    def left_out(self, fit: Fit, part: np.ndarray, gone: Term | None = None) -> np.ndarray:
+        """Sums of squares (n,) that an explanation, or that without a term, leaves on parts of the
+        log that it is not fitted on. What happened once cannot be foreseen, and keeps its
+        coefficients.
 
         Args:
             part: (N,) number of each sample's part.
-            samples: (n,) that all of them count as.
         """
-        return left_out(self.evidence, terms, part, samples)
+        evidence = self.evidence
+        pairs = [(t, x) for t, x in zip(fit.terms, fit.values(), strict=True) if t is not gone]
+        once = [(t, x) for t, x in pairs if t.effect is not None and t.effect.event]
+        every = [*evidence.nuisance, *(t for t, _ in pairs if all(t is not o for o, _ in once))]
+        gap = evidence.gap
+        if once:
+            gap = gap - np.tensordot(
+                np.concatenate([x for _, x in once]), evidence.columns([t for t, _ in once]), (0, 1)
+            )
+        full, spread = np.concatenate([evidence.columns(every), gap[:, None]], 1), spread_of(every)
+        parts = []
+        for p in np.unique(part):
+            some = full[:, :, part == p]
+            parts.append(some @ some.transpose(0, 2, 1))
+        whole, out = sum(parts), np.zeros(evidence.n)
+        for g in parts:
+            x, _, _ = solved(whole - g, spread, fit.samples, evidence.floor)
+            v = np.append(x, -1.0)
+            out += (v @ g) @ v
+        return np.maximum(out, 1e-300)
 
     def worthwhile(self, fit: Fit) -> Found:
         """Without what lowers no joint's error by as much as is worth a name on data that was not
         fitted; the least worthy leaves first, and what is left may be exchanged."""
-        part = block_numbers(self.library.samples.bounds, round(1.5 / self.library.samples.interval))
+        part = block_numbers(
+            self.library.samples.bounds, round(1.5 / self.library.samples.interval)
+        )
         woven = part.numpy() % WOVEN
         small: list[Term] = []
         while fit.terms:
-            whole = self.left_out(fit.terms, woven, fit.samples)
-            worth = []
-            for t in fit.terms:
-                without = self.left_out(excluding(fit.terms, [t]), woven, fit.samples)
-                worth.append(self.worth(whole, without))
+            whole = self.left_out(fit, woven)
+            worth = [
+                max(self.worth(whole, self.left_out(fit, woven, t)), self._displaced(fit, t))
+                for t in fit.terms
+            ]
             if min(worth) >= 1:
                 break
             k = int(np.argmin(worth))
             small.append(fit.terms[k])
-            self.watch("small", fit, worth[k])
             fit = self.again(self.evidence.fit(excluding(fit.terms, [fit.terms[k]]), fit.samples))
         return Found(fit, tuple(small))
+
+    def _displaced(self, fit: Fit, term: Term) -> float:
+        """Torque that without a term the model's own corrections make in its place, over what is
+        worth a name; nothing where these are as likely then."""
+        evidence, library = self.evidence, self.library
+        if not evidence.nuisance:
+            return 0.0
+        rest = evidence.fit(excluding(fit.terms, [term]), fit.samples)
+        if rest.known - fit.known <= evidence.price([term]):
+            return 0.0
+        own = evidence.nuisance[0]
+        torque = np.tensordot(rest.x[: own.count] - fit.x[: own.count], own.columns, 1)
+        size = np.sqrt((torque**2).sum(1) / library.rows)
+        return float((size / self.least(np.sqrt((evidence.gap**2).sum(1) / library.rows))).max())
+
+    def least(self, error: np.ndarray) -> np.ndarray:
+        """Fall (n,) of joints' errors (n,) from which a cause is worth a name [N m; N]: a share of
+        the error, or that of a torque that is a share of the joint's."""
+        library, settings = self.library, self.library.problem.settings
+        torque = 0.5 * (settings.worthwhile_torque * library.torque) ** 2
+        least = np.maximum(settings.worthwhile * error, torque / np.maximum(error, 1e-300))
+        return np.maximum(least, 1e-300)
 
     def worth(self, whole: np.ndarray, without: np.ndarray) -> float:
         """Fall of the joints' errors by a cause, over what is worth a name; the largest of them.
@@ -265,30 +354,5 @@ class Search:
         Args:
             whole, without: (n,) sums of squares left out, with the cause and without it.
         """
-        library, settings = self.library, self.library.problem.settings
-        after, before = (np.sqrt(x / library.rows) for x in (whole, without))
-        # A share of the error; or a torque that is a share of the joint's.
-        torque = 0.5 * (settings.worthwhile_torque * library.torque) ** 2
-        least = np.maximum(settings.worthwhile * before, torque / np.maximum(before, 1e-300))
-        return float(((before - after) / np.maximum(least, 1e-300)).max())
-
-
-def left_out(
-    evidence: Evidence, terms: Sequence[Term], part: np.ndarray, samples: np.ndarray
-) -> np.ndarray:
-    """Sums of squares (n,) that terms leave on parts of the log that they are not fitted on."""
-    every = (*evidence.nuisance, *terms)
-    columns = evidence.columns(every)
-    full = np.concatenate([columns, evidence.gap[:, None]], 1)
-    spread = spread_of(every)
-    parts = []
-    for p in np.unique(part):
-        some = full[:, :, part == p]
-        parts.append(some @ some.transpose(0, 2, 1))
-    whole = sum(parts)
-    out = np.zeros(evidence.n)
-    for g in parts:
-        x, _, _ = solved(whole - g, spread, samples, evidence.floor)
-        v = np.append(x, -1.0)
-        out += (v @ g) @ v
-    return np.maximum(out, 1e-300)
+        after, before = (np.sqrt(x / self.library.rows) for x in (whole, without))
+        return float(((before - after) / self.least(before)).max())

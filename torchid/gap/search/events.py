@@ -18,20 +18,18 @@ from typing import NamedTuple
 import torch
 from scipy.special import chdtri, fdtrc
 
-from torchid.design.segments import REACH, moving_samples
 from torchid.effects.motion import Motion
 from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.search.evidence import (
     SET_ODDS,
-    Fitted,
     Question,
     fit_terms,
     prior_of,
     residual,
     rows_of,
 )
-from torchid.gap.search.terms import BASE, Term
+from torchid.gap.search.terms import BASE
 from torchid.statistics.autocorrelation import correlation_instants
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import LEVEL
@@ -112,51 +110,6 @@ def contacts(question: Question, again: Counterparts = ()) -> list[Contact]:
                 start, stop = float(t[first]) - half, float(t[last - 1]) + half
                 out.append(replace(place, start=start, stop=stop))
     return list(dict.fromkeys(out))
-
-
-def hidden_contacts(question: Question, fit: Fitted, again: Counterparts = ()) -> list[Term]:
-    """Contacts of an explanation that do not stand out from what it leaves elsewhere in the log, or
-    that are there again when the motion is, or that only joints feel which may stick: what a law
-    leaves at its peaks and reversals is no push.
-
-    Args:
-        question, fit: the explanation.
-        again: where the motion repeats itself, as `torchid.design.repeats.counterparts` has it.
-    """
-    columns, samples = question.candidates.columns, question.candidates.columns.samples
-    own = list(zip(fit.terms, fit.values(), strict=True))
-    # The contacts, and their windows as samples.
-    events: list[tuple[Term, Contact, Span]] = []
-    for term, _ in own:
-        effect = term.effects[0] if term.effects else None
-        if isinstance(effect, Contact):
-            inside = (effect.window(samples.t) > 0).nonzero().flatten()
-            if len(inside):
-                events.append((term, effect, (int(inside[0]), int(inside[-1]) + 1)))
-    if not events:
-        return []
-    # What all but the contacts leaves, with the coefficients beside them.
-    laws = [(t, x) for t, x in own if all(t is not event for event, _, _ in events)]
-    left = residual(question, [t for t, _ in laws], torch.cat([x for _, x in laws] or [fit.x[:0]]))
-    unit = _misfit(left)
-    sliding = moving_samples(samples, REACH / samples.cutoff)
-    out = []
-    for term, effect, span in events:
-        pull = columns.on_all_joints(effect.lasting) * question.candidates.keep / unit
-        windows = Windows(pull, left / unit, samples.bounds, again)
-        ends = torch.tensor([span[0]]), torch.tensor([span[1]])
-        once = bool(windows.once(*ends))
-        level = windows.clearest(span, [s for _, _, s in events if s != span])
-        # A joint that sticks at its reversal, and breaks away late, looks pushed for that moment: a
-        # push is felt by joints that surely slide, too.
-        rows = slice(*span)
-        slides = (pull[..., rows] * sliding[:, rows]).flatten(1)
-        pulls = slides @ (left[:, rows] / unit).flatten()
-        felt = float(_gains((slides @ slides.T)[None], pulls[None, :, None]))
-        least = float(chdtri(len(pull), 1 - LEVEL)) * (level.usual if level else 1.0)
-        if not once or felt < least or (level and level.chance >= question.settings.alpha):
-            out.append(term)
-    return out
 
 
 def planes(question: Question) -> list[PlaneContact]:
@@ -364,22 +317,6 @@ class Windows:
             chance = float(fdtrc(c, max(apart, 1.0), gain / (c * usual)))
         total = sum(len(g) for g, _, _ in self.looked)
         return Level(total * chance, gain / usual - c * math.log(length), usual)
-
-    def clearest(self, span: Span, beside: Spans) -> "Level | None":
-        """How the window in a span that stands out most does so: of long ones few others are there
-        to be held against. None where that cannot be said."""
-        found = []
-        for i, (gain, start, length) in enumerate(self.looked):
-            inside = (start >= span[0]) & (start + length <= span[1])
-            if bool(inside.any()):
-                k = int(gain.masked_fill(~inside, -math.inf).argmax())
-                window = int(start[k]), int(start[k]) + length
-                found.append(self.level(window, float(gain[k]), i, beside, span))
-        # One that is shorter than all of them is held against the shortest.
-        if not found and self.looked:
-            own = self.gains(torch.tensor([span[0]]), torch.tensor([span[1]]))
-            found.append(self.level(span, float(own), 0, beside))
-        return min((x for x in found if x), key=lambda x: x.chance, default=None)
 
     def standing_out(self, alpha: float) -> list[tuple[Span, float]]:
         """Windows apart that stand out, the clearest first, each with the scale of chance."""

@@ -10,19 +10,12 @@ from scipy.special import chdtrc
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
 from torchid.effects.base import Effect, JointEffect, ModelEffect
-from torchid.effects.periodic import Cogging
 from torchid.effects.registry import KINDS
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact
 from torchid.gap.data import Data
 from torchid.gap.diagnosis import Finding, HowFar, body_change, unit_of
 from torchid.gap.record import Experiment, Informative, Parametric
-from torchid.gap.search.climb import (
-    LIKELIEST,
-    MOVES_TRIED,
-    candidate_moves,
-    moves_beside_each,
-)
 from torchid.gap.search.evidence import (
     SET_ODDS,
     Fitted,
@@ -32,27 +25,22 @@ from torchid.gap.search.evidence import (
     directions,
     log_likelihood_ratio,
     refit,
-    refit_each,
     residual,
 )
 from torchid.gap.search.explain import Explanation
-from torchid.gap.search.odds import Against, Misfit, Odds, Place, Rival, law_of, place_of
-from torchid.gap.search.replication import own_torque, replication
+from torchid.gap.search.odds import Odds, Place
+from torchid.gap.search.replication import replication
 from torchid.gap.search.shares import Shares
-from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding, same_columns
+from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, are_bodies, excluding
 from torchid.results.answer import NotTestable
 from torchid.results.words import count
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY
 from torchid.typing import Float, Int, Tensor
 
 LARGE_SHARE = 0.5
 """Torque, as a share of the joint's own, below which a testable effect must be detectable."""
-
-WAVES = 4
-"""The longest of the grid, of which a curve over a joint's position is: up to three periods."""
 
 HOPELESS_SECONDS = 3600.0
 """Seconds of the same motion beyond which only another motion can help."""
@@ -64,7 +52,7 @@ class Judged:
 
     Attributes:
         place: of the term.
-        others: what may stand there instead, one term or a pair, with the rise of the evidence.
+        others: what may stand there instead, the likeliest first.
         odds: of everything that may be there.
         at_an_end: whether its shape is at the end of its range.
         law: the place of the law of its joint, friction say, of which it is one term of several.
@@ -72,7 +60,7 @@ class Judged:
     """
 
     place: Place
-    others: tuple[tuple[float, tuple[Term, ...]], ...]
+    others: tuple[Term, ...]
     odds: Odds
     at_an_end: bool = False
     law: Place | None = None
@@ -82,15 +70,6 @@ class Judged:
     def term(self) -> Term:
         """Which it is."""
         return self.place.term
-
-    @property
-    def without(self) -> Fitted:
-        """The other terms, fitted without it."""
-        return self.place.fits[1]
-
-    def beside(self, misfit: Misfit) -> "Judged":
-        """The same beside another misfit."""
-        return replace(self, odds=self.place.odds(misfit), law_sure=_sure_of(self.law, misfit))
 
     def confirmed(self, shrinks: Float[Tensor, " n"]) -> "Judged":
         """The same beside data that were not fitted.
@@ -135,9 +114,9 @@ class Judged:
         for what lies beyond nobody has looked at."""
         numbers = self.odds.in_set
         if self.at_an_end and self.others and not numbers:
-            numbers = [max(range(len(self.others)), key=lambda k: self.others[k][0])]
-        every = (t for k in numbers for t in self.others[k][1])
-        return tuple(dict.fromkeys(_name_beside(t, self.term) for t in every))
+            numbers = [0]
+        names = (_name_beside(self.others[k], self.term) for k in numbers)
+        return tuple(dict.fromkeys(names))
 
     @property
     def branch_sure(self) -> float:
@@ -145,14 +124,9 @@ class Judged:
         mine = _branch(self.term)
         return self.odds.sure + sum(
             mass
-            for k, mass in enumerate(self.odds.others)
-            if all(_branch(t) == mine and _near(t, self.term) for t in self.others[k][1])
+            for other, mass in zip(self.others, self.odds.others, strict=True)
+            if _branch(other) == mine and _near(other, self.term)
         )
-
-
-def _sure_of(law: Place | None, misfit: Misfit) -> float:
-    """Probability that a joint has such a law, where that is asked."""
-    return 0.0 if law is None else replace(law, free=()).odds(misfit).sure
 
 
 def _name_beside(other: Term, term: Term) -> str:
@@ -168,89 +142,6 @@ def _branch(term: Term) -> str:
 def _near(one: Term, two: Term) -> bool:
     """Whether two terms are at one place of an arm: joints in common, or both all of it."""
     return bool(set(one.joints) & set(two.joints)) or not (one.joints or two.joints)
-
-
-def judge_terms(
-    found: Explanation, misfit: Misfit, draws: Draws, number: int | None = None
-) -> list[Judged]:
-    """Terms of an explanation, the first ones in its order, or all.
-
-    Args:
-        found: the explanation.
-        misfit: that it leaves.
-        draws: logs that might have been.
-        number: of the terms that are asked for.
-    """
-    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
-    against = Against(question, fit, draws)
-    laws = laws_of(found, against)
-    out = []
-    for k, term in enumerate(found.terms[:number]):
-        # What the others leave, refitted.
-        rest = excluding(found.terms, [term])
-        without = refit(question, fit, rest, 10)
-        tried = likely_terms(question, fit, without, term)
-        one = [(r, (t,), f) for r, t, f in alternatives(question, fit, without, term, tried)]
-        others = [*one, *pairs_instead(question, fit, without, term, tried)]
-        own = own_torque(found.solution, fixed + k)
-        rivals = rivals_of(against.asked_of(term), term, [(terms, f) for _, terms, f in others])
-        law, ended = laws.get(k), bool(at_an_end(question, term))
-        place = place_of(against, without, term, own, rivals)
-        place = replace(place, free=() if law is None else law.free)
-        pairs = tuple((rise, terms) for rise, terms, _ in others)
-        odds, law_sure = place.odds(misfit), _sure_of(law, misfit)
-        out.append(Judged(place, pairs, odds, ended, law, law_sure))
-    return out
-
-
-def rivals_of(
-    against: Against, term: Term, others: Sequence[tuple[tuple[Term, ...], Fitted]]
-) -> list[Rival]:
-    """Other explanations without a term, each with those that have it and one or all of the terms
-    in its place; without what has the term's own columns, of which one is there and not both."""
-    question, fit = against.question, against.fit
-    apart = []
-    for terms, _ in others:
-        some = [s for s in terms if s.name != BASE and not same_columns(s, term)]
-        apart.append(dict.fromkeys([*((s,) for s in some), tuple(some)] if some else []))
-    every = [(*question.own(fit), *s) for some in apart for s in some]
-    fits = iter(refit_each(question, fit, every))
-    return [
-        Rival(against.weight(again, terms), tuple(against.weight(next(fits), s) for s in some))
-        for (terms, again), some in zip(others, apart, strict=True)
-    ]
-
-
-def laws_of(found: Explanation, against: Against) -> dict[int, Place]:
-    """By the number of each term of a law of a joint that has several: the place of all of them
-    together; of a law over position beside a smooth curve, which says whether parts are told."""
-    question, fit, fixed = found.question, found.fit, len(found.question.fixed)
-    laws: dict[tuple[int, str], list[int]] = {}
-    for k, term in enumerate(found.terms):
-        if term.place is not None and term.alone is not None and term.alone.law:
-            laws.setdefault((term.place, term.alone.law), []).append(k)
-    out: dict[int, Place] = {}
-    for (joint, name), numbers in laws.items():
-        if len(numbers) > 1:
-            terms = [found.terms[k] for k in numbers]
-            rest = excluding(found.terms, terms)
-            own = own_torque(found.solution, *(fixed + k for k in numbers))
-            law = law_of(against, refit(question, fit, rest, 10), terms, own)
-            if name == "position":
-                curve = refit(question, fit, [*rest, *curve_of(question, joint)], 10)
-                law = replace(law, free=(against.free(curve, len(terms)),))
-            out |= dict.fromkeys(numbers, law)
-    return out
-
-
-def curve_of(question: Question, joint: int) -> list[Term]:
-    """Terms that are together any smooth torque over a joint's position: its springs and the
-    longest waves."""
-    columns = question.candidates.columns
-    grid = Cogging.grid(columns.motions, joint, columns.samples.cutoff)[:WAVES, 0].tolist()
-    own = [t for t in question.candidates.terms if t.place == joint and not t.instead]
-    springs = [t for t in own if isinstance(t.alone, JointSpring)]
-    return springs + [t for t in own if isinstance(t.alone, Cogging) and t.alone.k in grid]
 
 
 def at_an_end(question: Question, term: Term) -> tuple[str, ...]:
@@ -306,8 +197,8 @@ def describe_findings(
             continue
         names = one.ambiguous_with
         odds = [mass / max(one.odds.sure, 1e-12) for mass in one.odds.others]
-        near = zip(odds, (terms for _, terms in one.others), strict=True)
-        rivals += [(o, term, t[0]) for o, t in near if len(t) == 1 and o > 1 / SET_ODDS]
+        near = zip(odds, one.others, strict=True)
+        rivals += [(o, term, other) for o, other in near if o > 1 / SET_ODDS]
         p = p_value(question, *_without_bodies(found, one), term)
         if term.inertial:
             links = term.effects[0].joints if term.name == LINK else ()
@@ -321,7 +212,7 @@ def describe_findings(
         values, std = (x[fixed + k] for x in (found.solution.values, found.solution.std))
         own = found.solution.terms[fixed + k].effects
         # A curve over position that is none of the library's is told as the term that takes most.
-        curve = one.law is not None and bool(one.law.free)
+        curve = one.law is not None and one.law.curve
         parts = [i for i, x in enumerate(judged) if curve and x.law is one.law and not named[i]]
         effects.append(
             Finding(
@@ -383,7 +274,7 @@ def _separable(found: Explanation, one: Judged) -> Term | None:
     the same, and no data of this kind tell them apart."""
     question, fit = found.question, found.fit
     rest = excluding(found.terms, [one.term])
-    for other in (terms[0] for _, terms in one.others if len(terms) == 1):
+    for other in one.others:
         if other.name == one.term.name:
             continue
         again = refit(question, fit, (*rest, other))
@@ -418,84 +309,6 @@ def p_value(question: Question, fit: Fitted, without: Fitted, term: Term) -> flo
     searched = term.name not in common_names(own, question.joints)
     looks = question.looks if searched else 1.0
     return min(1.0, looks * float(chdtrc(df, max(0.0, ratio))))
-
-
-Tried = tuple[float, Term, Fitted]
-"""A term in the place of another one, with the rise of the evidence, and the fit."""
-
-
-def likely_terms(question: Question, fit: Fitted, without: Fitted, term: Term) -> list[Tried]:
-    """Terms in the place of one, the best first: in order of what they promise, until ten are
-    beyond the odds."""
-    others = question.own(without)
-    found = [m for _, m in candidate_moves(question, without, term) if m[0].key != term.key]
-    tried: list[Tried] = []
-    failed = 0
-    while found and failed < MOVES_TRIED:
-        # As many at once as may still fail.
-        some, found = found[: MOVES_TRIED - failed], found[MOVES_TRIED - failed :]
-        fits = refit_each(question, fit, [(*others, *m) for m in some])
-        for (other, *_), again in zip(some, fits, strict=True):
-            now, then = comparable(question, fit, again)
-            tried.append((then.evidence - now.evidence, other, again))
-            failed += tried[-1][0] <= -2 * math.log(SET_ODDS)
-    return sorted(tried, key=lambda one: -one[0])
-
-
-def alternatives(
-    question: Question, fit: Fitted, without: Fitted, term: Term, tried: Sequence[Tried]
-) -> list[Tried]:
-    """Of the likely terms the best of each name that physics allows, of its own name elsewhere; and
-    base parameters that do as well, whatever they cost, for then the effect stands only if the
-    parameters are trusted."""
-    names: dict[str, Tried] = {}
-    for rise, other, again in tried:
-        if rise > -math.inf:
-            names.setdefault(other.name, (rise, other, again))
-    for base in question.candidates.terms:
-        if base.name == BASE and not (term.of_links or question.shows(term)):
-            # What does not do as well with any numbers does not with those of bodies.
-            for conic in (False, True):
-                with_base = (*question.own(without), base)
-                again = refit(question, fit, with_base, 10, conic=conic)
-                now, then = comparable(question, fit, again)
-                lost = log_likelihood_ratio(now.effective, then.losses, now.losses)
-                if float(lost.sum()) >= 2 * math.log(SET_ODDS):
-                    break
-            else:
-                names[BASE] = then.evidence - now.evidence, base, then
-    return list(names.values())
-
-
-def pairs_instead(
-    question: Question, fit: Fitted, without: Fitted, term: Term, tried: Sequence[Tried]
-) -> list[tuple[float, tuple[Term, ...], Fitted]]:
-    """Pairs of a joint's effects in the place of one of them, the best of each two names: what
-    spans the same torque in this log is a rival in any number of terms."""
-    if term.place is None:
-        return []
-    # The best of each name: shapes of one do not keep out another that lacks one part alone.
-    here: dict[str, tuple[Term, Fitted]] = {}
-    for _, other, again in tried:
-        if other.place == term.place and other.name != term.name:
-            here.setdefault(other.name, (other, again))
-    likely = list(here.values())[:LIKELIEST]
-    found = moves_beside_each(question, [f for _, f in likely], [term] * len(likely))
-    pairs = [
-        (first, second)
-        for (first, _), moves in zip(likely, found, strict=True)
-        for _, (second, *_) in moves[:LIKELIEST]
-        if second.place == term.place and second.key not in (term.key, first.key)
-    ]
-    rest = question.own(without)
-    best: dict[frozenset[str], tuple[float, tuple[Term, ...], Fitted]] = {}
-    together = refit_each(question, fit, [(*rest, *pair) for pair in pairs])
-    for pair, again in zip(pairs, together, strict=True):
-        now, then = comparable(question, fit, again)
-        rise, names = then.evidence - now.evidence, frozenset(t.name for t in pair)
-        if rise > -math.inf and (names not in best or rise > best[names][0]):
-            best[names] = rise, pair, again
-    return list(best.values())
 
 
 def _felt(found: Explanation, k: int) -> tuple[int, ...]:

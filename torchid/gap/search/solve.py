@@ -17,13 +17,16 @@ from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
 from torchid.effects.registry import Valued
 from torchid.gap.data import Data
-from torchid.gap.search.climb import FORETOLD
 from torchid.gap.search.evidence import prior_of
 from torchid.gap.search.terms import BASE, LINK, PAYLOAD, Term, Wanted, term_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.jackknife import DETERMINED, fit_statistics
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
+
+FORETOLD = 0.3
+"""Share of a term's squares that the other folds must hold for its coefficients to be taken from
+them [1]; of something that is there all the time four folds of five hold 0.8."""
 
 OPEN = 1e-6
 """Squared part of a coefficient in what the columns leave open, from which it is open, too."""

@@ -1,6 +1,5 @@
 """Candidates of a search: effects at their places, and the columns that each of them has."""
 
-import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -174,35 +173,9 @@ class Term:
         return len(self.effects[0].shapes) if self.effects and not own else int(self.wrong)
 
 
-def same_columns(one: Term, other: Term) -> bool:
-    """Whether two terms have the same columns, as a load and an error of its link."""
-    return one.place == other.place and torch.equal(one.at, other.at)
-
-
 def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
     """Terms but for some of them."""
     return [t for t in terms if all(t is not g for g in gone)]
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Terms of one place with equally many columns, to be looked at together."""
-
-    place: Place
-    terms: tuple[Term, ...]
-    at: Int[Tensor, "M C"]
-    signed: Bool[Tensor, "M C"]
-    optional: Bool[Tensor, "M C"]
-    known: Float[Tensor, "M C"]
-    largest: Float[Tensor, "M C"]
-    ridge: Float[Tensor, "M C"]
-    centre: Float[Tensor, "M C"]
-    shapes: Int[Tensor, " M"]
-
-    @cached_property
-    def standing_in(self) -> tuple[tuple[int, Term], ...]:
-        """Those that stand in the place of the model's own, with their numbers."""
-        return tuple((m, t) for m, t in enumerate(self.terms) if t.instead)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +186,7 @@ class Candidates:
         columns: at the model whose gap is to be explained.
         gap: (n, N) what is to be explained.
         keep: (n, N) samples that count.
-        gram: joint by joint, fold by fold; part 0 holds samples between folds.
+        gram: joint by joint.
         terms: candidates.
         fixed: terms that are always in the model.
         given: effects of the model as given, with their coefficients.
@@ -226,11 +199,6 @@ class Candidates:
     terms: tuple[Term, ...]
     fixed: tuple[Term, ...]
     given: tuple[Valued, ...] = ()
-
-    @cached_property
-    def batches(self) -> tuple[Batch, ...]:
-        """The candidates, by place and number of columns."""
-        return tuple(_batches(self.terms))
 
 
 def term_columns(columns: Columns, term: Term) -> Float[Tensor, "C n N"]:
@@ -272,7 +240,6 @@ def candidates_of(
     gap: Float[Tensor, "n N"],
     data: Data,
     wanted: Wanted,
-    parts: Int[Tensor, " N"],
     given: Model,
     extra: Sequence[Effect] = (),
 ) -> Candidates:
@@ -283,7 +250,6 @@ def candidates_of(
         gap: what is to be explained.
         data: which samples count, and what the log holds.
         wanted: what is looked for.
-        parts: (N,) fold of every sample, from 1; 0 of those between folds.
         given: the model as given.
         extra: further shapes and windows of effects.
     """
@@ -302,14 +268,14 @@ def candidates_of(
             shared = tuple(KINDS[name].candidates(columns.model.robot))  # type: ignore[attr-defined]
             terms.append(rows.put(shared, None, sum(columns.on_all_joints(e) for e in shared)))  # type: ignore[arg-type]
     # Once a joint's columns are in its matrix, they are not needed any more.
-    gram = Gram(rows.filled[None], columns.n, int(parts.max()) + 1)
+    gram = Gram(rows.filled[None], columns.n)
     for joint in range(columns.n):
         terms += _of_joint(rows, joint, extra)
         there = {t.effects[0] for t in terms if t.place == joint}
         for e in own:
             if isinstance(e, JointEffect) and e.joint == joint and e not in there:
                 beside.append(rows.put((e,), joint, columns.of(e)[1]))
-        gram.add(joint, rows.taken(joint), gap[joint], data.keep[joint], parts)
+        gram.add(joint, rows.taken(joint), gap[joint], data.keep[joint])
     # Own columns stand behind the common ones.
     terms, beside = (
         [t if t.place is None else replace(t, at=t.at + rows.filled[None]) for t in some]
@@ -633,23 +599,3 @@ def fixed_terms(columns: Columns, wanted: Wanted) -> tuple[Term, ...]:
             known = (0.0,) * len(at)
             out.append(Term(name, (effect,), joint, at, effect.coefficients, known))
     return tuple(out)
-
-
-def _batches(terms: Sequence[Term]) -> Iterator[Batch]:
-    def group(t: Term) -> tuple[int, int]:
-        return (-1 if t.place is None else t.place, len(t.at))
-
-    for (place, _), some in itertools.groupby(sorted(terms, key=group), key=group):
-        own = tuple(some)
-        yield Batch(
-            None if place < 0 else place,
-            own,
-            torch.stack([t.at for t in own]),
-            torch.stack([t.limits[:, 1] >= 0 for t in own]),
-            torch.stack([t.optional for t in own]),
-            torch.tensor([t.known for t in own], dtype=torch.float64),
-            torch.stack([t.limits[:, 2] for t in own]),
-            torch.stack([t.ridge for t in own]),
-            torch.stack([t.centre for t in own]),
-            torch.tensor([t.shapes for t in own]),
-        )

@@ -11,18 +11,16 @@ from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import INERTIA_REMEDY, unit_of
 from torchid.gap.problem import Problem
 from torchid.gap.record import UnnamedEffect
-from torchid.gap.search.climb import candidate_moves, drop_unphysical
 from torchid.gap.search.evidence import (
     Fitted,
     Question,
     comparable,
     fit_terms,
     refit,
-    refit_each,
 )
-from torchid.gap.search.explain import Explanation, solve
+from torchid.gap.search.explain import Explanation, drop_unphysical, solve
 from torchid.gap.search.findings import Judged, at_an_end
-from torchid.gap.search.odds import Against, Misfit, Place, place_of
+from torchid.gap.search.odds import Misfit, Place
 from torchid.gap.search.replication import own_torque, replication
 from torchid.gap.search.solve import STEPS, Solution
 from torchid.gap.search.terms import LINK, Term, excluding
@@ -65,50 +63,50 @@ def small_effects(
     if not own:
         return ()
     # Their sizes, fitted together with what is told.
-    solution, against = solve(problem, whole), Against(question, whole, problem.draws)
+    solution = solve(problem, whole)
     out = []
     for k, term in enumerate(whole.terms):
         if id(term) not in without:
             continue
-        place = place_of(against, without[id(term)][1], term, own_torque(solution, k))
-        sure = place.odds(misfit).sure
+        both = whole, without[id(term)][1]
+        place = Place(question, both, term, own_torque(solution, k))
+        sure = place.sure(misfit, problem.draws)
         if sure >= LIKELY:
             out.append(_entry(solution, k, place, sure))
     return tuple(sorted(out, key=lambda e: -e.closes_rms))
 
 
 def causes_of_few_runs(
-    found: Explanation, problem: Problem, misfit: Misfit
+    found: Explanation, problem: Problem, misfit: Misfit, likely: Sequence[Term]
 ) -> tuple[UnnamedEffect, ...]:
     """The likeliest causes beside an explanation that a few runs have and most have none of: as a
     law of all they are unlikely. Of each place the one that removes most.
 
     Args:
         found, problem, misfit: as for `small_effects`.
+        likely: candidates beside the explanation, the likeliest first.
     """
     question, fit = found.question, found.fit
     if len({s.name for s in question.candidates.columns.samples.segments}) < FEWEST_RUNS:
         return ()
     places: dict[object, list[Term]] = {}
-    for _, (term, *more) in candidate_moves(question, fit):
+    for term in likely:
         if len(places) == PLACES_ASKED and term.place not in places:
             continue
         near = places.setdefault(term.place, [])
         # Asked last, for it is of every shape.
-        if len(near) < OF_A_PLACE and not (more or term.inertial or at_an_end(question, term)):
+        if len(near) < OF_A_PLACE and not (term.inertial or at_an_end(question, term)):
             near.append(term)
     asked = [term for near in places.values() for term in near]
-    fits = refit_each(question, fit, [[*found.terms, t] for t in asked])
+    fits = [refit(question, fit, [*found.terms, t]) for t in asked]
     # What physics refuses is none.
     pairs = [p for p in zip(asked, fits, strict=True) if p[1].evidence > -math.inf]
 
     def entry(term: Term, with_it: Fitted, steps: int) -> UnnamedEffect:
         solution = solve(problem, with_it, steps)
         k = [id(t) for t in with_it.terms].index(id(term))
-        place = place_of(
-            Against(question, with_it, problem.draws), fit, term, own_torque(solution, k)
-        )
-        return _entry(solution, k, place, place.odds(misfit).sure)
+        place = Place(question, (with_it, fit), term, own_torque(solution, k))
+        return _entry(solution, k, place, place.sure(misfit, problem.draws))
 
     # By the search's coefficients first; what few runs have then by those of the corrected model.
     entries = [entry(*pair, steps=0) for pair in pairs]

@@ -1,21 +1,17 @@
 """From the search's explanation to the answered one: what does harm leaves, what is not likely
 stays without a name."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from torchid.gap.diagnosis import worse_than_none
 from torchid.gap.problem import Problem
-from torchid.gap.search.evidence import refit
-from torchid.gap.search.explain import (
-    Explanation,
-    search_again_without,
-    with_small,
-    without_terms,
-)
-from torchid.gap.search.findings import Judged, judge_terms, unsure_terms
+from torchid.gap.search.explain import Explanation, without_terms
+from torchid.gap.search.findings import Judged, unsure_terms
 from torchid.gap.search.odds import Misfit
 from torchid.gap.search.shares import Shares
-from torchid.gap.search.terms import Term, excluding
-from torchid.gap.validate.judge import Checked, check, harmful, misfit_of
+from torchid.gap.search.terms import BASE
+from torchid.gap.validate.judge import Checked, check, misfit_of
 from torchid.typing import Float, Tensor
 
 
@@ -50,31 +46,24 @@ class Decision:
         return squares[[one.unnamed for one in self.judged]].sum(0)
 
 
-def decide(found: Explanation, problem: Problem) -> Decision:
-    """Without what makes a fold worse that it was not fitted on the search goes on, until nothing
-    leaves. What is left and is less likely than not stays in the model without a name, as long as
-    something else has one: refused, it would send the search elsewhere, until another cause passes
-    by chance. A held-out log takes part in no choice: it judges what was chosen, and a cause that
-    does no good there loses its name."""
+def decide(found: Explanation, judged: Sequence[Judged], problem: Problem) -> Decision:
+    """What is less likely than not stays in the model without a name, as long as something else has
+    one. A held-out log takes part in no choice: it judges what was chosen, and a cause that does no
+    good there loses its name."""
     question = found.question
     least = question.least(question.mean(found.empty.losses))
-    taken_back = False
-    while True:
-        checked = check(found, problem)
-        refused = harmful(found, checked, least)
-        if not refused:
-            break
-        taken_back = True
-        found = search_again_without(without_terms(found, refused, problem), refused, problem)
-    judged, misfit = _judged(found, misfit_of(found, checked, problem), problem)
+    checked = check(found, problem)
+    misfit = misfit_of(found, checked, problem)
     checked = _on_held_out(found, checked, problem)
-    # Where most joints' torque follows neither model nothing is confirmed, on no joint.
-    shrinks = checked.far.shrinks * ~checked.alien.any()
+    # Where most joints' torque follows neither model nothing is confirmed, on no joint; nor where
+    # the model as given is worse than none there, and other bodies altogether take its place.
+    replaced = any(t.name == BASE for t in found.terms) and worse_than_none(checked.shown)
+    shrinks = checked.far.shrinks * (not (replaced or bool(checked.alien.any())))
     likely, judged = judged, [one.confirmed(shrinks) for one in judged]
-    dropped = None
+    dropped, taken_back = None, False
     if judged and len(unsure_terms(judged)) == len(judged):
         dropped = found, tuple(judged)
-        taken_back |= not all(one.unnamed for one in likely)
+        taken_back = not all(one.unnamed for one in likely)
         found = without_terms(found, found.terms, problem)
         checked = check(found, problem)
         judged, misfit = [], misfit_of(found, checked, problem)
@@ -87,17 +76,3 @@ def _on_held_out(found: Explanation, checked: Checked, problem: Problem) -> Chec
     if problem.judged is None:
         return checked
     return check(found, problem, problem.judged, checked)
-
-
-def _judged(found: Explanation, misfit: Misfit, problem: Problem) -> tuple[list[Judged], Misfit]:
-    """The terms of an explanation, with what is too small for a name beside them, and a misfit that
-    grows by those that are not likely, until no more of them are; and that misfit."""
-    question, fit, beside = found.question, found.fit, with_small(found, problem)
-    judged, whole = judge_terms(beside, misfit, problem.draws, len(found.terms)), misfit
-    unsure: list[Term] = []
-    while len(more := unsure_terms(judged)) > len(unsure):
-        unsure = more
-        rest = refit(question, fit, excluding(question.own(fit), unsure))
-        whole = misfit.more(question.fall(fit, rest))
-        judged = [one.beside(whole) for one in judged]
-    return judged, whole

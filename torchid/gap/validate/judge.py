@@ -18,7 +18,7 @@ from torchid.gap.search.explain import Explanation
 from torchid.gap.search.findings import Findings
 from torchid.gap.search.odds import Misfit
 from torchid.gap.search.solve import Solution, solve_terms
-from torchid.gap.search.terms import Term, Wanted, fixed_terms
+from torchid.gap.search.terms import Wanted, fixed_terms
 from torchid.gap.validate.closing import Closing, closing, known_noise, levels
 from torchid.gap.validate.traces import traces
 from torchid.results.words import listed
@@ -143,29 +143,6 @@ def misfit_of(found: Explanation, checked: Checked, problem: Problem) -> Misfit:
     before, after = (x.square() - measured for x in (checked.far.rms_before, checked.far.rms_after))
     share = (after.clamp(min=0) / before.clamp(min=1e-300)).clamp(max=1.0)
     return Misfit((found.question.mean(found.fit.losses) - in_band).clamp(min=0), share)
-
-
-def harmful(found: Explanation, checked: Checked, least: Float[Tensor, " n"]) -> list[Term]:
-    """Terms that do no good on data that was not fitted: those of a joint that gets worse; those
-    that several joints feel, where the one they are located at gets worse by what would be worth a
-    name; and all that belong to the whole arm where the gap does not shrink at all; of what acts at
-    ends of the travel alone, where some joint gets worse. What happened once is not asked."""
-    far = checked.far
-    rise = far.rms_after - far.rms_before
-    own, shared = (set(x.nonzero().flatten().tolist()) for x in (rise > 0, rise >= least))
-    out = []
-    for term in found.terms:
-        # What happened once cannot be predicted, so that held-out data say nothing about it; nor
-        # have torques to say what another sensor shows.
-        if any(e.event for e in term.effects) or found.question.shows(term):
-            continue
-        worse = shared if term.place is None else own
-        # Resampled stretches may hold none of those in which it acts.
-        rare = bool(term.effects) and term.effects[0].at_ends
-        no_good = bool(shared) if rare else not far.improves
-        if worse.intersection(term.joints) if term.joints else no_good:
-            out.append(term)
-    return out
 
 
 def status_of(

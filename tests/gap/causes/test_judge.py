@@ -1,0 +1,55 @@
+import numpy as np
+import pytest
+import torch
+
+from tests.gap.causes.problems import candidate, problem, search
+from torchid.gap.causes.judge import judge, probabilities
+from torchid.statistics.bagging import Draws
+
+NOTHING_LEFT = np.zeros(4)
+
+
+def test_probabilities_add_up_to_one() -> None:
+    of = search("viscous_friction")
+    fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
+    others = [
+        of.empty(),
+        of.evidence.fit((candidate(of, "coulomb_friction", 1),), of.library.rows),
+    ]
+    found = probabilities(of, fit, others, problem("viscous_friction").draws)
+    assert sum(found) == pytest.approx(1)
+    assert found[0] > 0.99
+
+
+def test_what_is_there_is_sure_and_what_is_not_is_nothing() -> None:
+    of = search("viscous_friction")
+    there, extra = candidate(of, "viscous_friction", 1), candidate(of, "torque_offset", 0)
+    fit = of.evidence.fit((there, extra), of.library.rows)
+    one, other = judge(of, fit, NOTHING_LEFT, problem("viscous_friction").draws)
+    assert one.sure > 0.95
+    assert one.name is there
+    assert other.nothing > 0.5
+
+
+def test_half_of_the_samples_have_half_of_the_price() -> None:
+    """On a log drawn whole and on half of it, a cause of no torque has the odds of its price."""
+    of = search(None)
+    term = candidate(of, "torque_offset", 0)
+    block = problem(None).block
+    fit = of.evidence.fit((term,), of.library.rows)
+    odds = []
+    for times in (1.0, 0.5):
+        count = int(block.max()) + 1
+        draws = Draws(block, torch.full((1, count), times, dtype=torch.float64), (1.0,))
+        sure, nothing = probabilities(of, fit, [of.empty()], draws)
+        odds.append(np.log(sure / nothing))
+    assert odds[1] == pytest.approx(odds[0] / 2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.0, 1.0), (1 / 16, 0.9), (0.25, 0.6923)])
+def test_what_is_left_bounds_how_sure_a_cause_is(share: float, most: float) -> None:
+    of = search("viscous_friction")
+    fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
+    (one,) = judge(of, fit, np.full(4, share), problem("viscous_friction").draws)
+    assert one.sure <= most + 1e-4
+    assert one.sure > most - 0.05

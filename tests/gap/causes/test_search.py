@@ -1,0 +1,94 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.gap.causes.problems import NAMES, PLANTED, problem, search
+from tests.gap.problems import data_of, measured, problem_of, wanted_of
+from torchid.effects.transient import Contact
+from torchid.gap.causes.candidates import Library
+from torchid.gap.causes.evidence import Fit
+from torchid.gap.causes.explain import explain, with_bodies
+from torchid.gap.causes.search import Search
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_what_was_planted_is_found_with_its_size(name: str) -> None:
+    found = search(name).explanation()
+    effect, values = PLANTED[name]
+    assert [(t.name, t.joints) for t in found.fit.terms] == [(name, effect.joints)]
+    assert found.fit.values()[0].tolist() == pytest.approx(values, rel=0.1)
+
+
+@pytest.mark.parametrize("hz", [None, 2.0])
+def test_nothing_is_found_in_noise(hz: float | None) -> None:
+    assert search(None, hz).explanation().fit.terms == ()
+
+
+def test_two_causes_are_found_together() -> None:
+    planted = [PLANTED["viscous_friction"], PLANTED["torque_offset"]]
+    of = Search(Library(problem_of(measured(planted), wanted_of(NAMES))))
+    names = {(t.name, t.joints) for t in of.explanation().fit.terms}
+    assert names == {(e.name, e.joints) for e, _ in planted}
+
+
+def test_steps_are_told_and_no_set_comes_back() -> None:
+    taken: list[frozenset[int]] = []
+    of = Search(
+        Library(problem("coulomb_friction")),
+        lambda _, fit: taken.append(frozenset(t.serial for t in fit.terms)),
+    )
+    of.explanation()
+    assert len(taken[0]) == 1
+    assert len(set(taken)) == len(taken)
+
+
+def test_a_push_is_found_in_its_window() -> None:
+    quiet = measured([])
+    start, stop = 3.0, 4.5
+    push = Contact(start=start, stop=stop)
+    first = quiet.segments[0]
+    columns = push.torque_columns(first.motion, problem(None).robot)
+    tau = first.tau + columns @ torch.tensor([6.0, -4.0, 2.0], dtype=torch.float64)
+    data = data_of([replace(first, tau=tau), *quiet.segments[1:]])
+    of = Search(Library(problem_of(data, wanted_of((*NAMES, "contact")))))
+    (term,) = of.explanation().fit.terms
+    assert isinstance(term.effect, Contact)
+    assert term.effect.start == pytest.approx(start, abs=0.5)
+    assert term.effect.stop == pytest.approx(stop, abs=0.5)
+
+
+def test_a_cause_is_worth_what_it_lowers_where_it_was_not_fitted() -> None:
+    of = search("viscous_friction")
+    fit = of.again(of.explanation().fit)
+    part = np.arange(of.library.gap.shape[1]) // 50 % 5
+    whole, without = of.left_out(fit, part), of.left_out(fit, part, fit.terms[0])
+    assert of.worth(whole, without) > 1
+    assert of.worth(whole, whole) == 0
+
+
+def test_what_is_explained_has_its_errors_and_how_sure_it_is() -> None:
+    explained = explain(problem("viscous_friction"))
+    (one,) = explained.judged
+    assert (one.name.name, one.name.joints) == ("viscous_friction", (1,))
+    assert one.sure > 0.9
+    assert explained.after[1] < 0.2 * explained.before[1]
+    assert explain(problem(None)).judged == []
+
+
+def test_an_offset_is_read_on_the_arm_with_the_load_that_was_found() -> None:
+    """Its torque is that of the load, too: columns are taken anew at the model found."""
+    bodies = with_bodies(problem(None).given.model, loaded())
+    own = problem(None).robot.require_parameters("a test").pi
+    change = bodies.robot.require_parameters("a test").pi - own
+    assert float(change[-1, 0]) == pytest.approx(2.0)
+    assert float(change[:-1].abs().max()) == 0
+
+
+def loaded() -> Fit:
+    """A fit with a load of two kilograms at the tip."""
+    of = Search(Library(problem(None, names=(*NAMES, "payload"))))
+    (load,) = (t for t in of.library.terms if t.name == "payload")
+    fit = of.evidence.fit((load,), of.library.rows)
+    return replace(fit, x=np.array([2.0, *[0.0] * 9]))
