@@ -20,7 +20,7 @@ from torchid.effects.periodic import Cogging
 from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.search import STEP, Search, excluding
+from torchid.gap.causes.search import ONE_BODY, STEP, Search, excluding, same_columns
 from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import SET_MASS, WRONG_FILE
 
@@ -135,7 +135,7 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
     masses = probabilities(search, fit, [base, *(f for _, f in rivals)], asked, beside)
     own, nothing, *others_sure = masses
     for k, (u, f) in enumerate(rivals):
-        if len(u) == 1 and _same_columns(term, u[0]) and search.alike(f, fit, base):
+        if len(u) == 1 and same_columns(term, u[0]) and search.alike(f, fit, base, ONE_BODY):
             # A load and an error of its link are one torque: nothing but the file tells which.
             both = own + others_sure[k]
             own, others_sure[k] = both * (1 - WRONG_FILE), both * WRONG_FILE
@@ -162,13 +162,6 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
         term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
         min(law, bound), fall,
     )  # fmt: skip
-
-
-def _same_columns(one: Term, other: Term) -> bool:
-    """Whether two terms have the same columns."""
-    if one.place != other.place or one.columns.shape != other.columns.shape:
-        return False
-    return bool(np.array_equal(one.columns, other.columns))
 
 
 def _pair(search: Search, fit: Fit, term: Term) -> list[tuple[Term, ...]]:

@@ -20,6 +20,9 @@ from torchid.statistics.blocks import block_numbers
 TRIED = 10
 """Candidates that are fitted in a step."""
 
+ONE_BODY = 0.01
+"""The same of a load and an error of its link, whose slabs differ [1]."""
+
 SEEDS = 4
 """Likeliest candidates that are tried with a second one where none helps alone."""
 
@@ -46,6 +49,13 @@ explain on a joint [1]."""
 WOVEN = 5
 """Parts that a log is woven of when the worth of a cause is asked, each a fifth of its blocks: what
 drifts over a log is in all of them."""
+
+
+def same_columns(one: Term, other: Term) -> bool:
+    """Whether two terms have the same columns."""
+    if one.place != other.place or one.columns.shape != other.columns.shape:
+        return False
+    return bool(np.array_equal(one.columns, other.columns))
 
 
 def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
@@ -110,7 +120,20 @@ class Search:
             fit = self.refine(self.swap(self.grow(fit)))
             if {t.key for t in fit.terms} == before:
                 break
-        return self.worthwhile(self.shrink(fit))
+        return self.worthwhile(self.as_loads(self.shrink(fit)))
+
+    def as_loads(self, fit: Fit) -> Fit:
+        """Errors of a link that are a load as well are told as one: nothing but the file tells
+        which they are."""
+        loads = [t for t in self.library.terms if t.name == "payload"]
+        for k, term in enumerate(fit.terms):
+            for load in (t for t in loads if same_columns(t, term) and t is not term):
+                terms = (*fit.terms[:k], load, *fit.terms[k + 1 :])
+                other = self.evidence.fit(terms, fit.samples)
+                base = self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
+                if other.allowed and self.alike(other, fit, base, ONE_BODY):
+                    fit = other
+        return fit
 
     # ------------------------------------------------------------------ steps
 
@@ -145,10 +168,10 @@ class Search:
                 best = rise, fit
         return best
 
-    def alike(self, one: Fit, other: Fit, now: Fit) -> bool:
+    def alike(self, one: Fit, other: Fit, now: Fit, share: float = ALIKE) -> bool:
         """Whether two explanations change what is left in the same way."""
         left, a, b = (self.evidence.left(f) for f in (now, one, other))
-        return float(((a - b) ** 2).sum()) <= ALIKE * float(((left - b) ** 2).sum())
+        return float(((a - b) ** 2).sum()) <= share * float(((left - b) ** 2).sum())
 
     def grow(self, fit: Fit) -> Fit:
         """Causes join, and what they make superfluous leaves."""
