@@ -52,7 +52,14 @@ from torchid.withheld.planted import with_torque
 from torchid_bench.benchmarks.gap_hard import CAUSES, RIGHT, Truth
 from torchid_bench.benchmarks.gap_plant import Planted, Scene, gap, generator, plant
 from torchid_bench.benchmarks.gap_real import FRICTION
-from torchid_bench.benchmarks.planted_cases import SOURCES, Case, Source, cases, halves
+from torchid_bench.benchmarks.planted_cases import (
+    SOURCES,
+    Case,
+    Source,
+    cases,
+    halves,
+    unpack,
+)
 from torchid_bench.benchmarks.planted_oracle import stored
 
 FINEST = 125.0
@@ -191,6 +198,7 @@ def drawn(scene: Scene, name: str, size: float, g: torch.Generator, joint: int) 
 
 def draw(label: str, source: Source, data: Path, plants: Path, args: argparse.Namespace) -> None:
     """Plant what is not there yet, at sizes over what this code's answer leaves."""
+    unpack(label, plants / label)
     robot, second, unplanted = modelled(label, source, data, plants)
     folder = plants / label
     noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]

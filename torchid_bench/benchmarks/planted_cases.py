@@ -5,6 +5,7 @@ these are planted) and the key to it; WORK/LOG/model.yaml is the arm as the firs
 every diagnosis that is scored sees the same torques, whatever has become of the code that drew them.
 """
 
+import gzip
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,8 @@ from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid_bench.benchmarks.real_logs import LINES, read
+
+KEPT = Path(__file__).with_name("planted")
 
 UR10E = LINES["ptp"].logs
 
@@ -101,6 +104,15 @@ class Case:
         with np.load(file) as held:
             key = json.loads(str(held["key"]))
             return cls(file.stem, key, held["tau"], held.get("dq"))
+
+
+def unpack(label: str, folder: Path) -> None:
+    """What the stored classes belong to, into a folder that has nothing yet: the arm as the first
+    half of the log made it, and what was left of the second one, by which sizes were drawn."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, kept in (("model.yaml", f"{label}.yaml.gz"), ("none.json", f"{label}.json.gz")):
+        if not (folder / name).exists() and (KEPT / kept).exists():
+            (folder / name).write_bytes(gzip.decompress((KEPT / kept).read_bytes()))
 
 
 def cases(folder: Path, effects: Sequence[str], sizes: Sequence[float]) -> list[Case]:

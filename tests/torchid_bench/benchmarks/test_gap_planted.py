@@ -1,5 +1,7 @@
 """What is planted is a cause; and what counts as right in each class."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,9 +11,11 @@ from tests.arms import arm
 from torchid.effects.base import Effect, Motion
 from torchid.effects.periodic import Cogging, PositionDependentFriction
 from torchid.effects.spring import JointSpring
+from torchid.robot.library import load_robot
 from torchid_bench.benchmarks import gap_planted
 from torchid_bench.benchmarks.gap_plant import Planted, Scene, generator
 from torchid_bench.benchmarks.gap_planted import counted, drawn, well_posed
+from torchid_bench.benchmarks.planted_cases import SOURCES, unpack
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +88,12 @@ def test_names_above_nine_tenths_are_counted_once() -> None:
     case = {"planted": key, "answer": answer({"effect": "cogging"}, {"effect": "payload"})}
     counts = counted(case, answer({"effect": "payload"}), "decidable")
     assert (counts["sure"], counts["sure and right"], counts["false"]) == (1, 1, 0)
+
+
+@pytest.mark.parametrize("label", SOURCES)
+def test_the_stored_classes_have_their_models(label: str, tmp_path: Path) -> None:
+    unpack(label, tmp_path)
+    robot = load_robot(str(tmp_path / "model.yaml"))
+    assert robot.knowledge is not None
+    left = json.loads((tmp_path / "none.json").read_text())["how_far"]["per_joint"]
+    assert len(left) == robot.n
