@@ -7,7 +7,7 @@ import sys
 
 import msgspec
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -55,6 +55,7 @@ def lines_of(screen: Screen, width: int) -> list[str]:
     return console.export_text().splitlines()
 
 
+@settings(deadline=None)  # a busy machine draws slowly
 @given(
     names=st.lists(st.sampled_from(sorted(KINDS)), min_size=0, max_size=12, unique=True),
     n=st.integers(1, 30),
