@@ -151,7 +151,7 @@ class Library:
         self.gap = problem.given.gap.numpy() * self.keep
         tau = logged(self.columns).numpy() * self.keep
         self.torque = np.sqrt((tau**2).sum(1) / self.rows) + 1e-12
-        self.size = np.sqrt((self.gap**2).sum(1) / self.rows) + 1e-4 * self.torque
+        self.size = np.sqrt((self.gap**2).sum(1) / self.rows) + FLOOR * self.torque
         known, left = problem.wanted.knowledge, FLOOR * self.torque
         if known is not None and known.left is not None:
             left = np.maximum(left, known.left.numpy())
@@ -159,7 +159,6 @@ class Library:
         self.scale = Scale(self.columns)
         self.noise = noise_of_repeats(problem)
         self.nuisance = self._nuisance()
-        self._late: dict[int, list[Term]] = {}
         self._windows: list[tuple[object, float, float]] = []
         self.terms = self._with_shapes(
             [*self._of_joints(), *self._of_the_arm(), *self._bodies(), *self._events(events)]
@@ -228,7 +227,7 @@ class Library:
     def of_effect(self, effect: Effect, like: Term | None = None) -> Term | None:
         """A candidate from an effect, at its place; of one that all joints share, `like` that."""
         if like is not None and len(like.joints) > 1 and like.key[-1] == "shared":
-            return self._shared(type(effect), like)
+            return self._shared(type(effect))
         ((place, columns),) = self._columns([effect])
         return self.term(effect, place, columns)
 
@@ -313,7 +312,7 @@ class Library:
                 for effect, (place, columns) in zip(effects, self._columns(effects), strict=True):
                     yield self.term(effect, place, columns)
             if kind.shared and len(effects) > 1:
-                yield self._shared(kind, None)
+                yield self._shared(kind)
         yield from self._file_mistakes()
 
     def _told(self, effect: ModelEffect, there: Sequence[bool]) -> bool:
@@ -323,7 +322,7 @@ class Library:
             return False
         return not effect.joints or any(self.keep[j].any() for j in effect.joints)
 
-    def _shared(self, kind: type[Effect], like: Term | None) -> Term | None:
+    def _shared(self, kind: type[Effect]) -> Term | None:
         """One coefficient that all joints share."""
         each = kind.candidates(self.columns.model.robot)  # type: ignore[attr-defined]
         columns = sum(self.columns.on_all_joints(e) for e in each).numpy()  # type: ignore[union-attr]
@@ -480,12 +479,9 @@ class Library:
             if name not in self.problem.wanted.names or kind.needs & self.data.missing:
                 continue
             for j in joints:
-                if j not in self._late:
-                    some = [e for e in kind.starts(self.columns.model.robot) if e.joint == j]  # type: ignore[attr-defined]
-                    found = zip(some, self._columns(some), strict=True) if some else ()
-                    made = [self.term(e, place, x) for e, (place, x) in found]
-                    self._late[j] = self._with_shapes(made)
-                out += self._late[j]
+                some = [e for e in kind.starts(self.columns.model.robot) if e.joint == j]  # type: ignore[attr-defined]
+                found = zip(some, self._columns(some), strict=True) if some else ()
+                out += self._with_shapes(self.term(e, place, x) for e, (place, x) in found)
         return out
 
     def pushes(self, left: np.ndarray, weight: np.ndarray) -> list[Term]:

@@ -31,9 +31,7 @@ class Explained:
     Attributes:
         search, found: of which.
         judged: terms of the explanation.
-        before, after, noise: (n,) RMS of the gap, of what is left on motions left out, and of what
-            nothing can foresee [N m; N].
-        foreseen: (n,) share of the squares left that a flexible predictor foresees.
+        before, after: (n,) RMS of the gap, and of what is left on motions left out [N m; N].
     """
 
     search: Search
@@ -41,8 +39,6 @@ class Explained:
     judged: list[Judged]
     before: np.ndarray
     after: np.ndarray
-    noise: np.ndarray
-    foreseen: np.ndarray
 
 
 def explain(
@@ -86,9 +82,7 @@ def explain(
     unit = library.torque**2
     whole = float((left / unit).sum() / max((before**2 / unit).sum(), 1e-300))
     shares = np.minimum(np.append(shares, whole), 1.0)
-    return Explained(
-        search, found, judge(search, fit, shares, problem.draws), before, after, noise, share
-    )
+    return Explained(search, found, judge(search, fit, shares, problem.draws), before, after)
 
 
 def with_bodies(model: Model, fit: Fit) -> Model:

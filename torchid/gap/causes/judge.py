@@ -14,13 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.search import ONE_BODY, STEP, Search, excluding, same_columns
+from torchid.gap.causes.search import ONE_BODY, STEP, Search, same_columns
+from torchid.gap.search.terms import excluding
 from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import SET_MASS, WRONG_FILE
 
@@ -50,7 +52,6 @@ class Judged:
         members: smallest set that holds nine tenths of what may be there, the likeliest first, with
             their probabilities.
         law: probability of the joint's law that `name` is a form of; of `name` where it is no form.
-        fall: (n,) mean squares that it takes away [(N m)^2; N^2].
     """
 
     term: Term
@@ -60,12 +61,6 @@ class Judged:
     nothing: float
     members: tuple[tuple[tuple[Term, ...], float], ...]
     law: float
-    fall: np.ndarray
-
-    @property
-    def there(self) -> float:
-        """Probability that something is there."""
-        return 1.0 - self.nothing
 
 
 def judge(search: Search, fit: Fit, left: np.ndarray, draws: Draws) -> list[Judged]:
@@ -160,7 +155,7 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
     bound = _bound(fall, left, (library.gap**2).sum(1) / library.rows)
     return Judged(
         term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
-        min(law, bound), fall,
+        min(law, bound),
     )  # fmt: skip
 
 
@@ -226,7 +221,7 @@ def probabilities(
             continue
         samples = evidence.telling(fit, other)
         mine, its = (evidence.fit(f.terms, samples) for f in (fit, other))
-        a, b = (_squares(search, f, draws) for f in (mine, its))
+        a, b = (_squares(search, f, draws, share) for f in (mine, its))
         ratio = -0.5 * (samples * share * np.log(b / a)).sum(1)
         paid = its.known - mine.known + evidence.price(its.terms) - evidence.price(mine.terms)
         more = beside[k - 1] if k and len(beside) else 0.0
@@ -236,11 +231,8 @@ def probabilities(
     return (weights / weights.sum(0)).mean(1).tolist()
 
 
-def _squares(search: Search, fit: Fit, draws: Draws) -> np.ndarray:
-    """Sums of squares (M, n) of what a fit leaves, in each drawn log."""
-    import torch
-
+def _squares(search: Search, fit: Fit, draws: Draws, share: np.ndarray) -> np.ndarray:
+    """Sums of squares (M, n) of what a fit leaves, in logs with such shares (M, n) of the rows."""
     left = torch.from_numpy(search.evidence.left(fit))
     drawn = draws.sums(left.square()).numpy()
-    share = draws.sums(search.library.problem.data.keep.double()).numpy() / search.library.rows
     return np.maximum(drawn, search.evidence.floor * np.maximum(share, 1e-3))

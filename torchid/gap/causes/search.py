@@ -15,6 +15,7 @@ from torchid.effects.base import JointEffect, ModelEffect
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.evidence import Evidence, Fit, solved, spread_of
 from torchid.gap.causes.screen import Screen
+from torchid.gap.search.terms import excluding
 from torchid.statistics.blocks import block_numbers
 
 TRIED = 10
@@ -56,11 +57,6 @@ def same_columns(one: Term, other: Term) -> bool:
     if one.place != other.place or one.columns.shape != other.columns.shape:
         return False
     return bool(np.array_equal(one.columns, other.columns))
-
-
-def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
-    """Terms but for some of them."""
-    return [t for t in terms if all(t is not g for g in gone)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +326,7 @@ class Search:
 
     def worthwhile(self, fit: Fit) -> Found:
         """Without what lowers no joint's error by as much as is worth a name on data that was not
-        fitted; the least worthy leaves first, and what is left may be exchanged."""
+        fitted; the least worthy leaves first."""
         part = block_numbers(
             self.library.samples.bounds, round(1.5 / self.library.samples.interval)
         )

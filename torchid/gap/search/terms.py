@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import torch
 
@@ -42,6 +43,8 @@ common with a neighbour's."""
 AS_LOGGED = 0.2
 """Correlation of logged torque with the model's from which other sensors may read it [1]: much else
 may be in it, but it is there."""
+
+T = TypeVar("T")
 
 LINK = "link_inertia"
 PAYLOAD = "payload"
@@ -173,7 +176,7 @@ class Term:
         return len(self.effects[0].shapes) if self.effects and not own else int(self.wrong)
 
 
-def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> list[Term]:
+def excluding(terms: Sequence[T], gone: Sequence[T]) -> list[T]:
     """Terms but for some of them."""
     return [t for t in terms if all(t is not g for g in gone)]
 
