@@ -53,3 +53,10 @@ def test_what_is_left_bounds_how_sure_a_cause_is(share: float, most: float) -> N
     (one,) = judge(of, fit, np.full(4, share), problem("viscous_friction").draws)
     assert one.sure <= most + 1e-4
     assert one.sure > most - 0.05
+
+
+def test_what_another_joint_leaves_bounds_a_cause_of_one_joint_as_the_arm_s_alone() -> None:
+    of = search("viscous_friction")
+    fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
+    (one,) = judge(of, fit, np.array([1.0, 0.0, 0.0, 0.0]), problem("viscous_friction").draws)
+    assert one.sure > 0.95

@@ -68,6 +68,21 @@ def test_a_cause_is_worth_what_it_lowers_where_it_was_not_fitted() -> None:
     assert of.worth(whole, whole) == 0
 
 
+@pytest.mark.parametrize(
+    ("times", "share", "worth_a_name"), [(0.5, 1.0, True), (1.5, 1.0, False), (1.5, 0.2, True)]
+)
+def test_a_cause_is_larger_than_what_the_model_left_itself(
+    times: float, share: float, worth_a_name: bool
+) -> None:
+    """Over all of the log, or while it acts."""
+    of = Search(Library(problem("viscous_friction")))
+    fit = of.again(of.explanation().fit)
+    part = np.arange(of.library.gap.shape[1]) // 50 % 5
+    whole, without = of.left_out(fit, part), of.left_out(fit, part, fit.terms[0])
+    of.library.known_noise = times * of.library.size
+    assert (of.worth(whole, without, share) >= 1) == worth_a_name
+
+
 def test_what_is_explained_has_its_errors_and_how_sure_it_is() -> None:
     explained = explain(problem("viscous_friction"))
     (one,) = explained.judged

@@ -117,6 +117,11 @@ class Term:
         """Whether it is a change of bodies."""
         return self.effect is None or self.effect.inertial
 
+    @property
+    def rare(self) -> bool:
+        """Whether it happens once, or at an end of the travel."""
+        return self.effect is not None and (self.effect.event or self.effect.at_ends)
+
     def __repr__(self) -> str:
         return self.name + "".join(f" {j + 1}" for j in self.joints)
 

@@ -124,9 +124,7 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
         if alone > both + STEP:
             rivals.append((u, f))
             beside.append(both)
-    effect = term.effect
-    rare = effect is not None and (effect.event or effect.at_ends)
-    asked = draws.as_it_is if rare else draws
+    asked = draws.as_it_is if term.rare else draws
     masses = probabilities(search, fit, [base, *(f for _, f in rivals)], asked, beside)
     own, nothing, *others_sure = masses
     for k, (u, f) in enumerate(rivals):
@@ -149,10 +147,13 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
     name, sure = min(near, key=lambda pair: (pair[0].count, pair[0] is not term))
     law = sum(p for t, p in every if t[0].cause == name.cause)
     fall = np.maximum(base.losses - fit.losses, 0.0) / library.rows
-    if rare:
+    if term.rare:
         # What happened once, or at an end of the travel, is judged where it acts.
         left = np.full_like(left, _left_where_it_acts(search, fit, base))
-    bound = _bound(fall, left, (library.gap**2).sum(1) / library.rows)
+    told = fit.samples * np.log(np.maximum(base.losses / fit.losses, 1.0))
+    if term.place is not None:
+        told = told * (np.arange(library.n) == term.place)
+    bound = _bound(told, fall, left, (library.gap**2).sum(1) / library.rows)
     return Judged(
         term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
         min(law, bound),
@@ -177,24 +178,25 @@ def _left_where_it_acts(search: Search, fit: Fit, without: Fit) -> float:
     left of it."""
     after, before = search.evidence.left(fit), search.evidence.left(without)
     unit = np.sqrt(fit.losses)[:, None]
-    acts = np.abs(before - after).max(0)
-    acts = acts > 0.1 * acts.max()
+    acts = search.acting(fit, without)
     noise = (fit.losses / search.library.rows)[:, None] / unit**2
     a, b = ((x[:, acts] / unit) ** 2 - noise for x in (after, before))
     return float(np.clip(a.sum() / max(b.sum(), 1e-300), 0.0, 1.0))
 
 
-def _bound(fall: np.ndarray, left: np.ndarray, before: np.ndarray) -> float:
+def _bound(told: np.ndarray, fall: np.ndarray, left: np.ndarray, before: np.ndarray) -> float:
     """How sure a cause can be beside what is left without one: of the squares that it and the rest
-    take on its joints, and of the whole arm's.
+    take on the joints that tell of it, and of the whole arm's.
 
     Args:
+        told: (n,) likelihood by which each joint tells of it [nats].
         fall: (n,) mean squares that it takes.
         left: (n + 1,) share of each joint's mean squares (n,) that is left, and the arm's.
         before: (n,) those.
     """
     rest = left[:-1] * before
-    share = float((fall * rest / np.maximum(fall + rest, 1e-300)).sum() / max(fall.sum(), 1e-300))
+    shares = rest / np.maximum(fall + rest, 1e-300)
+    share = float((told * shares).sum() / max(told.sum(), 1e-300))
     return 1 / (1 + DOUBT * max(share, float(left[-1])))
 
 

@@ -47,6 +47,9 @@ SLOW, MORE = 2.0, 1.25
 """Samples that are alike, and residual over the noise of repeats, from which something is left to
 explain on a joint [1]."""
 
+ACTS = 0.1
+"""Torque of a cause while it acts, over the most that it makes, at least [1]."""
+
 WOVEN = 5
 """Parts that a log is woven of when the worth of a cause is asked, each a fifth of its blocks: what
 drifts over a log is in all of them."""
@@ -335,7 +338,10 @@ class Search:
         while fit.terms:
             whole = self.left_out(fit, woven)
             worth = [
-                max(self.worth(whole, self.left_out(fit, woven, t)), self._displaced(fit, t))
+                max(
+                    self.worth(whole, self.left_out(fit, woven, t), self._share(fit, t)),
+                    self._displaced(fit, t),
+                )
                 for t in fit.terms
             ]
             if min(worth) >= 1:
@@ -344,6 +350,14 @@ class Search:
             small.append(fit.terms[k])
             fit = self.again(self.evidence.fit(excluding(fit.terms, [fit.terms[k]]), fit.samples))
         return Found(fit, tuple(small))
+
+    def _share(self, fit: Fit, term: Term) -> float:
+        """Share of the samples in which a term acts: of what happens once, or at an end of the
+        travel; else all of them."""
+        if not term.rare:
+            return 1.0
+        rest = self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
+        return float(self.acting(fit, rest).mean())
 
     def _displaced(self, fit: Fit, term: Term) -> float:
         """Torque that without a term the model's own corrections make in its place, over what is
@@ -357,21 +371,38 @@ class Search:
         own = evidence.nuisance[0]
         torque = np.tensordot(rest.x[: own.count] - fit.x[: own.count], own.columns, 1)
         size = np.sqrt((torque**2).sum(1) / library.rows)
-        return float((size / self.least(np.sqrt((evidence.gap**2).sum(1) / library.rows))).max())
+        least = self.least(np.sqrt((evidence.gap**2).sum(1) / library.rows))
+        return float((size / np.maximum(least, library.known_noise)).max())
 
-    def least(self, error: np.ndarray) -> np.ndarray:
+    def least(self, error: np.ndarray, share: float = 1.0) -> np.ndarray:
         """Fall (n,) of joints' errors (n,) from which a cause is worth a name [N m; N]: a share of
-        the error, or that of a torque that is a share of the joint's."""
-        library, settings = self.library, self.library.problem.settings
-        torque = 0.5 * (settings.worthwhile_torque * library.torque) ** 2
-        least = np.maximum(settings.worthwhile * error, torque / np.maximum(error, 1e-300))
-        return np.maximum(least, 1e-300)
+        the error, that of a torque that is a share of the joint's, and that of what the model has
+        left unexplained on its own log, which nobody knows the cause of either.
 
-    def worth(self, whole: np.ndarray, without: np.ndarray) -> float:
+        Args:
+            share: of the samples, in which the cause acts.
+        """
+        library, settings = self.library, self.library.problem.settings
+        size = settings.worthwhile_torque * library.torque
+        least = np.maximum(
+            settings.worthwhile * error, 0.5 * size**2 / np.maximum(error, 1e-300)
+        )
+        beyond = error**2 - share * library.known_noise**2
+        by = np.where(beyond > 0, error - np.sqrt(np.maximum(beyond, 0.0)), error)
+        return np.maximum(np.maximum(least, by), 1e-300)
+
+    def worth(self, whole: np.ndarray, without: np.ndarray, share: float = 1.0) -> float:
         """Fall of the joints' errors by a cause, over what is worth a name; the largest of them.
 
         Args:
             whole, without: (n,) sums of squares left out, with the cause and without it.
+            share: of the samples, in which the cause acts.
         """
         after, before = (np.sqrt(x / self.library.rows) for x in (whole, without))
-        return float(((before - after) / self.least(before)).max())
+        return float(((before - after) / self.least(before, share)).max())
+
+    def acting(self, fit: Fit, without: Fit) -> np.ndarray:
+        """Samples (N,) in which the torque of two explanations differs by a tenth of the most that
+        it does, or more."""
+        apart = np.abs(self.evidence.left(without) - self.evidence.left(fit)).max(0)
+        return apart > ACTS * apart.max()
