@@ -48,6 +48,26 @@ def test_show(command, folder, tmp_path):
     assert record["problem"] is None
 
 
+def test_a_picture_has_what_looks_wrong(command, folder, tmp_path):
+    log, picture = read_log(folder / "check.csv"), tmp_path / "channels.png"
+    write_log(log.replace(tau=log.tau.abs()), tmp_path / "sizes.csv")
+    result = command("log", "show", tmp_path / "sizes.csv", "--plot", picture)
+    assert result.code == 0
+    assert "tau1, tau2, tau3: no value is negative" in result.out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_sum_of_two_columns_is_read(command, folder, tmp_path):
+    log = read_log(folder / "check.csv")
+    q = log.q.clone()
+    q[:, 2] += q[:, 1]
+    write_log(log.replace(q=q), tmp_path / "ground.csv")
+    mapping, mended = "q=[q1,q2,q3-q2]", tmp_path / "mended.parquet"
+    result = command("log", "show", tmp_path / "ground.csv", "--columns", mapping, "--save", mended)
+    assert result.code == 0
+    torch.testing.assert_close(read_log(mended).q, log.q, atol=1e-6, rtol=0)
+
+
 def test_convert(command, folder, foreign, tmp_path):
     path, columns = foreign
     target = tmp_path / "ours.parquet"

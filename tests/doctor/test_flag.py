@@ -1,5 +1,7 @@
 """Fixes as the option `--columns`: a file read with it is the mended log."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -10,6 +12,8 @@ from torchid.doctor.repair import (
     TORQUE,
     DropRows,
     DropSignal,
+    Map,
+    MappedColumns,
     ScaleTime,
     reordered,
     repaired,
@@ -19,6 +23,12 @@ from torchid.doctor.repair import (
 from torchid.log.readers import read_log, write_log
 
 DEGREE = torch.pi / 180
+
+
+def coupled(signals, *sums):
+    return MappedColumns(signals, replace(Map.of(3), coupled=sums))
+
+
 NAMES = {"t", *(f"{key}{k}" for key in ("q", "dq", "tau") for k in (1, 2, 3))}
 CASES = {
     "q=q{j} deg": [scaled(("q",), (DEGREE,) * 3)],
@@ -36,6 +46,12 @@ CASES = {
     ],
     "q=[q2,q1,q3],dq=[dq2,dq1,dq3]": [reordered(MOTION, (1, 0, 2))],
     "tau=[tau3,tau1,tau2]": [reordered(TORQUE, (1, 0, 2)), reordered(TORQUE, (2, 1, 0))],
+    "q=[q1,q2,q3-q2],dq=[dq1,dq2,dq3-dq2]": [coupled(MOTION, (2, 1, -1.0))],
+    "tau=[tau2,tau1+tau3,tau3] *[-1,-1,1]": [
+        coupled(TORQUE, (0, 2, 1.0)),
+        reordered(TORQUE, (1, 0, 2)),
+        scaled(TORQUE, (-1.0, -1.0, 1.0)),
+    ],
     "dq=none,t=t ms": [DropSignal("dq"), ScaleTime(1e-3)],
     "q=q{j} deg -90": [scaled(("q",), (DEGREE,) * 3), shifted(("q",), (-torch.pi / 2,) * 3)],
     "q=q{j} +[0,-2,0]": [shifted(("q",), (0.0, -2.0, 0.0))],

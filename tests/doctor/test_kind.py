@@ -10,7 +10,7 @@ from tests.marks import some
 from torchid.doctor.examine import examine
 from torchid.doctor.first import WrongLogError, ask_first
 from torchid.doctor.kind import holds_no_gravity
-from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.dynamics.newton_euler import inverse_dynamics, joint_wrenches
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.robot.inertia import InertialParameters
 
@@ -81,3 +81,23 @@ def test_a_torque_without_the_model_is_said(name):
 )
 def test_a_torque_with_gravity_is_never_said_to_hold_none(name, arm):
     assert not said(*torques(name, inertial=0.0, **arm))
+
+
+@pytest.mark.parametrize("name", ["ur10e", "panda"])
+def test_another_moment_of_the_joint_is_no_torque_without_gravity(name):
+    """Joints whose torque no body explains have no vote on gravity and units."""
+    robot, log = clean(name, 0, nominal=True)
+    rate = 1 / float(log.t.diff().median())
+    q = ZeroPhaseFilter(rate, 8.0).apply(log.q.T)
+    dq = central_difference(q, rate)
+    wrenches = joint_wrenches(robot, q.T, dq.T, central_difference(dq, rate).T)
+    # What a simulator has reported of all joints: the moment about one axis of the link's frame.
+    moments = wrenches[:, list(robot.own_links), 3:]
+    across = [int(robot.after[link, 2, :3].abs().argmin()) for link in robot.own_links]
+    tau = moments[:, range(robot.n), across]
+    result = examine(robot, log.replace(tau=tau), first=True)
+    verdicts = {c.name: c for c in result.checks}
+    assert verdicts["torque explained"].verdict == "doubtful"
+    assert "is the moment about" in verdicts["torque explained"].evidence
+    assert verdicts["torque unit"].verdict == "cannot tell"
+    assert not [c.name for c in result.checks if c.verdict == "wrong"]

@@ -1,5 +1,7 @@
 """What the doctor mends, and nothing else."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
@@ -9,7 +11,13 @@ from torchid.doctor.repair import Map, MappedColumns, RejoinTime, repaired
 from torchid.log.model import Log
 
 NUMBERS = st.lists(st.floats(-9.0, 9.0), min_size=3, max_size=3)
-MAPS = st.builds(Map, st.permutations([0, 1, 2]).map(tuple), NUMBERS.map(tuple), NUMBERS.map(tuple))
+FACTORS = st.lists(st.sampled_from([-2.0, -1.0, 0.5, 3.0]), min_size=3, max_size=3)
+COUPLED = st.lists(
+    st.tuples(st.permutations([0, 1, 2]), st.sampled_from([-1.0, 0.5, 1.0])), max_size=2
+).map(lambda some: tuple((k, j, c) for (k, j, _), c in some))
+MAPS = st.builds(
+    Map, st.permutations([0, 1, 2]).map(tuple), FACTORS.map(tuple), NUMBERS.map(tuple), COUPLED
+)
 
 
 @pytest.mark.parametrize(
@@ -38,3 +46,8 @@ def test_one_map_after_the_other_is_a_map(first, second):
     for name in signals:
         torch.testing.assert_close(steps.signals[name], whole.signals[name])
     assert torch.equal(MappedColumns(signals, Map.of(3)).apply(log).tau, log.tau)
+
+
+def test_a_coupled_column_is_said_as_it_is_mended():
+    repair = MappedColumns(("q", "dq"), replace(Map.of(3), coupled=((2, 1, -1.0),)))
+    assert str(repair) == "q3 = q3 - q2, dq3 = dq3 - dq2"

@@ -8,9 +8,11 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.inputs import WRITTEN
+from torchid.app.inputs import WRITTEN, Suffix
 from torchid.app.output import Computed, Printed, as_text
 from torchid.app.signature import command
+
+PICTURE = Suffix((".png",))
 
 
 @command
@@ -69,6 +71,7 @@ def show_command(
     save: Annotated[
         Path | None, typer.Option("--save", "--out", metavar="FILE"), WRITTEN, opt.LOG_SUFFIX
     ] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png"), WRITTEN, PICTURE] = None,
     output: Printed,
 ) -> None:
     """Print what a log is seen as: format, joints, sampling, ranges, units, and what is odd.
@@ -80,10 +83,13 @@ def show_command(
         robot: The robot it is of: joints by name, and what only a robot can tell is checked.
         save: Write what was read as .parquet, .csv or .npz, in our columns and units; currents
             also as torque, where the drive gains are known.
+        plot: Write a picture of every channel over time; what looks wrong is
+            red, with the reason.
     """
     from torchid.design.repeats import repeated_motion
     from torchid.log.overview import look_at, overview_record
-    from torchid.report.log import report_of_log
+    from torchid.report.log import report_of_log, signals_figure
+    from torchid.report.panels import save as save_picture
     from torchid.robot.model import JointType
 
     checked: dict[str, Any] = {}
@@ -92,6 +98,7 @@ def show_command(
         checked = {
             "robot_name": found.name,
             "position_limits": found.limits.position,
+            "effort": None if found.limits.torque is None else found.limits.torque.abs().amax(-1),
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
             "moving_base": found.floating,
         }
@@ -104,6 +111,8 @@ def show_command(
         log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     output.put(save, partial(torchid.write_log, log))
+    if plot is not None:
+        output.put(plot, partial(save_picture, signals_figure(log, seen.odd)))
     output.tell(report_of_log(seen, repeats))
     if seen.problem is not None:
         output.say(as_text("this log cannot be used as it is: ", "red") + as_text(seen.problem))

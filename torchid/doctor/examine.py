@@ -11,7 +11,7 @@ from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
 from torchid.doctor.estimates import check_gravity, check_lag, lag_of, looped
-from torchid.doctor.faults import confirmed, denied_faults, fault_checks, unseen_faults
+from torchid.doctor.faults import UNTOLD, confirmed, denied_faults, fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
 from torchid.doctor.number_format import check_number_format
@@ -59,6 +59,7 @@ SIGNALS: tuple[Callable[[Case], Check | Sequence[Check]], ...] = (
     motion.check_standstill,
     torque.check_torque,
     torque.check_silent_runs,
+    torque.check_channels,
     velocity.check_commands,
     torque.check_saturation,
     torque.check_resolution,
@@ -256,7 +257,11 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
     denied = denied_faults(judge, found)
     checks += fault_checks(judge, found, denied, fixes, case.checks)
     sized = confirmed(found, denied)
-    checks += [check_lag(judge, found, lag), check_size(judge, case.log, sized, fixes)]
+    checks.append(check_lag(judge, found, lag))
+    if found.explained or case.log.tau is None:
+        checks.append(check_size(judge, case.log, sized, fixes))
+    else:
+        checks.append(judged("torque unit", "cannot tell", UNTOLD))
     checks += check_runs(judge, end) if found.explained else ()
     if not first:
         checks += check_nominal(judge, case.log, sized)

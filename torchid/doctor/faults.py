@@ -13,12 +13,14 @@ from torchid.doctor.moves import FAULTS, TENTH, Move, invisible_groups, least_gr
 from torchid.doctor.record import Verdict
 from torchid.doctor.repair import MappedColumns
 from torchid.doctor.search import Found, Search
-from torchid.doctor.size import nominal_loss, nominal_slopes
+from torchid.doctor.size import nominal_loss, nominal_slopes, other_moments
 from torchid.robot.model import joint_list
-from torchid.statistics.criteria import CLEAR_GAIN, LEAST_GAIN, TOLD
+from torchid.statistics.criteria import CLEAR_GAIN, LEAST_GAIN, TOLD, UNEXPLAINED
 
 _ALWAYS = ("joint order", "torque sign", "position sign", "gain of a joint")
 """Checks that are there without a fault, too."""
+UNTOLD = "the torque is not explained either way"
+"""Of what bodies do not explain."""
 _MOST_NAMED = 4
 """Groups of joints that are named."""
 
@@ -54,7 +56,7 @@ def fault_checks(
     live = judge.live(result.final.hypothesis)
     found = [f for f in result.found if FAULTS[f.move.kind].check]
     checks = [
-        _explained(result, live),
+        _explained(judge, result, live),
         *(_check(judge, result, f, f in denied, fixes, unit) for f in found),
     ]
     names = {c.name for c in checks}
@@ -64,7 +66,7 @@ def fault_checks(
         if not live or (len(live) < 2 and name in ("joint order", "gain of a joint")):
             checks.append(judged(name, "cannot tell", "fewer than two joints move with a torque"))
         elif not result.explained:
-            checks.append(judged(name, "cannot tell", "the torque is not explained either way"))
+            checks.append(judged(name, "cannot tell", UNTOLD))
         else:
             checks.append(said(name, "fine"))
     return checks
@@ -103,7 +105,7 @@ def _of_any_size(judge: Judge, result: Search) -> list[int]:
     return [k for k in some if min(judge.score(h, weights).loss for h in sizes[k]) < most]
 
 
-def _explained(result: Search, live: Sequence[int]) -> Check:
+def _explained(judge: Judge, result: Search, live: Sequence[int]) -> Check:
     """What bodies, friction, rotors and offsets leave of the torque, everything mended."""
     if not live:
         return judged("torque explained", "cannot tell", "nothing moves with a torque")
@@ -113,6 +115,11 @@ def _explained(result: Search, live: Sequence[int]) -> Check:
     )
     verdict = "fine" if result.explained else "doubtful"
     text = f"{text} of the torque's spread, on time held out"
+    odd = [k for k, x in zip(live, left, strict=True) if x > UNEXPLAINED]
+    others = other_moments(judge, result.final.hypothesis, odd)
+    for axis in sorted(set(others.values())):
+        of = joint_list([k for k, name in others.items() if name == axis])
+        text += f"; the torque of {of} is the moment about {axis} of the link's frame, not the axis"
     return said("torque explained", verdict, joints=live, estimate=tuple(left.tolist()), text=text)
 
 

@@ -53,10 +53,25 @@ def _entry(key: str, repairs: Sequence[Repair], signal: str, n: int) -> str:
             made = made.then(repair.map)
     offsets = [x / f for x, f in zip(made.offsets, made.factors, strict=True)]
     ordered = made.order == tuple(range(n))
-    listed = "[" + ",".join(f"{key}{j + 1}" for j in made.order) + "]"
-    source, change = f"{key}{{j}}" if ordered else listed, _factor(key, made.factors)
+    sums = {k: _sum(key, made, k, j, c) for k, j, c in made.coupled}
+    if None in sums.values() or len(sums) < len(made.coupled):
+        return ""
+    ordered &= not sums
+    listed = [sums.get(k) or f"{key}{j + 1}" for k, j in enumerate(made.order)]
+    source, change = (
+        f"{key}{{j}}" if ordered else f"[{','.join(listed)}]",
+        _factor(key, made.factors),
+    )
     changed = change + (_offset(offsets) if signal in PLACES else "")
     return f"{key}={source}{changed}" if changed or not ordered else ""
+
+
+def _sum(key: str, made: Map, k: int, j: int, c: float) -> str | None:
+    """`q3-q2`: column k with that which is added to it; None where it is another multiple of it."""
+    share = c * made.factors[j] / made.factors[k]
+    if abs(share) != 1.0 or made.offsets[j]:
+        return None
+    return f"{key}{made.order[k] + 1}{'+' if share > 0 else '-'}{key}{made.order[j] + 1}"
 
 
 def _offset(offsets: Sequence[float]) -> str:

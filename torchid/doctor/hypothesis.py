@@ -9,7 +9,7 @@ import torch
 
 from torchid.doctor.cone import OWN, Fit, Normal, Unknowns, Weights, cone, fit, shares
 from torchid.doctor.repair import Map
-from torchid.doctor.samples import BLOCKS, Samples
+from torchid.doctor.samples import BLOCKS, MOVING, Samples, direction_of
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import Robot
@@ -148,8 +148,7 @@ class Judge:
         late = hypothesis.late
         if late not in self._torques:
             self._torques[late] = self.samples.torque(late).numpy()
-        columns = self._torques[late][:, list(hypothesis.tau.order)]
-        return columns * np.array(hypothesis.tau.factors)
+        return hypothesis.tau.of_columns(torch.from_numpy(self._torques[late])).numpy()
 
     def live(self, hypothesis: Hypothesis) -> list[int]:
         """Joints, from 0, that move enough to be judged and have a torque that varies."""
@@ -157,7 +156,11 @@ class Judge:
 
     def moving(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) whether each joint of the robot moves."""
-        return self.samples.moving[:, list(hypothesis.q.order)].numpy()
+        moving = self.samples.moving[:, list(hypothesis.q.order)].numpy()
+        coupled = [k for k, _, _ in hypothesis.q.coupled]
+        if coupled:
+            moving[:, coupled] = self.motion(hypothesis)[:, coupled, 3].abs().numpy() > MOVING
+        return moving
 
     def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(n, T, P) regressor with each joint's own columns, its (B, n, P, P) products, and their
@@ -209,10 +212,14 @@ class Judge:
 
     def motion(self, hypothesis: Hypothesis) -> torch.Tensor:
         """(T, n, 4) q, dq, ddq and direction of the robot's joints."""
-        factor = torch.tensor(hypothesis.q.factors, dtype=torch.float64)
-        factors = torch.stack([factor, factor, factor, factor.sign()], -1)
-        motion = self.samples.motion[:, list(hypothesis.q.order)] * factors
-        motion[..., 0] += torch.tensor(hypothesis.q.offsets, dtype=torch.float64)
+        columns, q = self.samples.motion, hypothesis.q
+        places = q.of_columns(columns[..., 0], places=True)
+        rates = (q.of_columns(columns[..., k]) for k in (1, 2))
+        sign = torch.tensor(q.factors, dtype=torch.float64).sign()
+        direction = columns[:, list(q.order), 3] * sign
+        motion = torch.stack([places, *rates, direction], -1)
+        for k, _, _ in q.coupled:
+            motion[:, k, 3] = direction_of(motion[:, k, 1], dim=0)
         return motion
 
 

@@ -10,7 +10,7 @@ from torchid.doctor.check import Check, said
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.robot.model import joint_list
-from torchid.statistics.criteria import HOLDS, HOLDS_NONE
+from torchid.statistics.criteria import HOLDS, HOLDS_NONE, UNEXPLAINED
 from torchid.statistics.jackknife import fit_statistics
 
 MASSES = 0.3
@@ -137,6 +137,12 @@ def check_kind(judge: Judge, end: Hypothesis) -> Check | None:
         return None
     if shares.inert and shares.explained > _SCALED:
         return None
+    if not shares.inert:
+        # Of what no body explains with or without gravity it says nothing that none shows.
+        starts = (weightless(h) for h in (end, Hypothesis.literal(judge.robot)))
+        left = [np.median(judge.score(h).errors[list(shares.joints)]) for h in starts]
+        if min(left) > UNEXPLAINED:
+            return None
     gravity = float(np.linalg.norm(shares.gravity))
     most = float(np.linalg.norm(np.abs(shares.gravity) + shares.gravity_half))
     text = (

@@ -27,6 +27,8 @@ ZEROS = (math.pi / 2, -math.pi / 2, math.pi)
 """Zeros that conventions differ by [rad]."""
 SCALES = tuple(0.25 * k for k in range(-14, 15))
 """Logarithms of the factors tried first for the positions of all joints."""
+PARALLEL = 1 - 1e-6
+"""Cosine of the angle between axes from which they are parallel [1]."""
 _TURNS = (2.0 * math.pi, DEGREE, 1.0 / DEGREE)
 _NEAR_UNIT = 0.05
 
@@ -88,8 +90,17 @@ class Move:
         if self.kind == "zero":
             angle = sum(c.map.offsets[self.joints[0]] for c in self.columns)
             return f"zero {self.joints[0] + 1} {math.degrees(angle):+.0f} deg"
+        if self.kind == "coupling":
+            return f"coupling {', '.join(sorted(self._sums))}"
         order = self.columns[0].map.order if "order" in self.kind else self.joints
         return " ".join(filter(None, (self.kind, ",".join(str(k + 1) for k in order))))
+
+    @property
+    def _sums(self) -> Iterator[str]:
+        """`q3-q2` of positions, `tau2+tau3` of torques."""
+        for name, change in (("q", self.q), ("tau", self.tau)):
+            for k, j, c in change.coupled if change else ():
+                yield f"{name}{k + 1}{'-' if c < 0 else '+'}{name}{j + 1}"
 
     @property
     def changes(self) -> int:
@@ -253,6 +264,19 @@ def _zeros(judge: Judge, now: Hypothesis) -> Iterator[Move]:
         yield Move("zero", (k,), now, Map.of(judge.robot.n, offsets=offsets))
 
 
+def _couplings(judge: Judge, now: Hypothesis) -> Iterator[Move]:
+    """Positions that are sums or differences of two parallel axes' (a parallelogram, a belt, an
+    angle to the ground), torques that are, or both as one power has it."""
+    n, live = judge.robot.n, judge.live(now)
+    for j, k in parallel_pairs(judge.robot) if _badly(judge, now) else ():
+        for sign in (1.0, -1.0) if {j, k} <= set(live) else ():
+            angle = replace(Map.of(n), coupled=((k, j, -sign),))
+            torque = replace(Map.of(n), coupled=((j, k, sign),))
+            yield Move("coupling", (k,), now, q=angle)
+            yield Move("coupling", (j,), now, tau=torque)
+            yield Move("coupling", (j, k), now, q=angle, tau=torque)
+
+
 def _sign(kind: str, check: str, words: str, q: float, tau: float) -> TorqueFault:
     moves = partial(_signs, kind=kind, q=q, tau=tau)
     return TorqueFault(check, f"{words} the wrong sign in", moves, modelled=True, hides=True)
@@ -280,9 +304,32 @@ FAULTS = {
     "position unit": TorqueFault(
         "position unit, by torque", "positions in another unit, or on the motors' side, in", _units
     ),
-    "zero": TorqueFault("zero of positions", "another zero in", _zeros),
+    "zero": TorqueFault("zero of positions", "another zero in", _zeros, modelled=True),
+    "coupling": TorqueFault(
+        "coupling of joints",
+        "the column is a sum or difference of two joints' in",
+        _couplings,
+        modelled=True,
+    ),
 }
 """By what their moves call themselves."""
+
+
+def parallel_pairs(robot: Robot) -> list[tuple[int, int]]:
+    """Pairs of joints, from 0, both ways around, whose axes are parallel in every posture: each
+    turns, and so does every joint between them, about one direction."""
+    groups: list[set[int]] = []
+    for joint in range(robot.n):
+        link = robot.own_links[joint]
+        parent = robot.parents[link]
+        axis = robot.before[link, :3, 2]
+        near = next((g for g in groups if any(robot.own_links[k] == parent for k in g)), None)
+        turns = robot.joint_types[joint] is JointType.REVOLUTE
+        if near and turns and abs(float(axis @ robot.after[parent, 2, :3])) > PARALLEL:
+            near.add(joint)
+        elif turns:
+            groups.append({joint})
+    return [pair for g in groups for pair in itertools.permutations(sorted(g), 2)]
 
 
 Group = frozenset[int]

@@ -95,11 +95,16 @@ class Bridge(Repair):
 @dataclass(frozen=True)
 class Map:
     """What joint columns become: column k is `factors[k]` times column `order[k]`, plus
-    `offsets[k]` [rad or m]; joints from 0."""
+    `offsets[k]` [rad or m]; joints from 0.
+
+    Attributes:
+        coupled: (k, j, c): of these, one after the other, c times column j is added to column k.
+    """
 
     order: tuple[int, ...]
     factors: tuple[float, ...]
     offsets: tuple[float, ...]
+    coupled: tuple[tuple[int, int, float], ...] = ()
 
     @classmethod
     def of(
@@ -119,17 +124,35 @@ class Map:
 
     def then(self, after: "Map") -> "Map":
         """This one, and another one of what it makes."""
-        steps = list(zip(after.order, after.factors, after.offsets, strict=True))
+        at = {j: k for k, j in enumerate(after.order)}
+        factors = dict(zip(after.order, after.factors, strict=True))
+        coupled = tuple((at[k], at[j], c * factors[k] / factors[j]) for k, j, c in self.coupled)
+        # What is added after couplings, as what is added before them.
+        offsets = list(after.offsets)
+        for k, j, c in reversed(coupled):
+            offsets[k] -= c * offsets[j]
+        steps = list(zip(after.order, after.factors, offsets, strict=True))
         return Map(
             tuple(self.order[j] for j, _, _ in steps),
             tuple(f * self.factors[j] for j, f, _ in steps),
             tuple(f * self.offsets[j] + x for j, f, x in steps),
+            coupled + after.coupled,
         )
+
+    def of_columns(self, x: Tensor, *, places: bool = False) -> Tensor:
+        """Columns (.., n) mapped; offsets are added to `places` alone."""
+        made = x[..., list(self.order)] * torch.tensor(self.factors, dtype=x.dtype)
+        if places:
+            made = made + torch.tensor(self.offsets, dtype=x.dtype)
+        for k, j, c in self.coupled:
+            made[..., k] += c * made[..., j]
+        return made
 
     @property
     def shifts_only(self) -> bool:
         """Whether order and factors stay as they are."""
-        return self.order == tuple(range(len(self.order))) and set(self.factors) == {1.0}
+        plain = self.order == tuple(range(len(self.order))) and set(self.factors) == {1.0}
+        return plain and not self.coupled
 
 
 @dataclass(frozen=True)
@@ -146,15 +169,9 @@ class MappedColumns(Repair):
 
     def mapped(self, signals: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Signals (T, n) with their columns mapped."""
-        order = list(self.map.order)
-        factors, offsets = (
-            torch.tensor(x, dtype=torch.float64) for x in (self.map.factors, self.map.offsets)
-        )
         made = dict(signals)
         for name in set(self.signals) & set(signals):
-            made[name] = signals[name][:, order] * factors
-            if name in PLACES:
-                made[name] += offsets
+            made[name] = self.map.of_columns(signals[name], places=name in PLACES)
         return made
 
     def apply(self, log: Log) -> Log:
@@ -168,6 +185,10 @@ class MappedColumns(Repair):
         texts = [", ".join(f"{x}{k} = {x}{j}" for k, j in moved) for x in names] if moved else []
         texts.append(_changes(names, self.map.factors, 1.0, _factor))
         texts.append(_changes(places, self.map.offsets, 0.0, lambda x, o: f"{x} {o:+.6g}"))
+        texts += [
+            ", ".join(f"{x}{k + 1} = {x}{k + 1} {_added(c, x, j)}" for x in names)
+            for k, j, c in self.map.coupled
+        ]
         return "; ".join(filter(None, texts))
 
 
@@ -179,6 +200,12 @@ def _changes(
     if len(changed) == len(values) > 1 == len(set(values)):
         changed, end = [("", values[0])], " in all joints"
     return ", ".join(f"{x}{k} = {made(x + k, v)}{end}" for x in names for k, v in changed)
+
+
+def _added(factor: float, name: str, joint: int) -> str:
+    """`- q2`; `+ 0.5 q2`."""
+    size = "" if abs(factor) == 1.0 else f"{abs(factor):.6g} "
+    return f"{'-' if factor < 0 else '+'} {size}{name}{joint + 1}"
 
 
 def _factor(name: str, value: float) -> str:

@@ -15,6 +15,8 @@ BLOCKS = 8
 """Blocks of time that are held out in turn; longer than any filter's or friction's memory."""
 SLOW = 1e-3
 """The direction of motion is taken seriously from here [rad/s or m/s]."""
+MOVING = 0.5
+"""Smoothed direction of motion from which a joint moves [1]."""
 MOST = 1600
 """Samples kept, spread evenly."""
 _LOOK_HZ = 15.0
@@ -170,10 +172,9 @@ def _stretch(
     wide = min(5.0 * cutoff, 0.4 * rate)
     smooth = ZeroPhaseFilter(rate, wide).apply(log.q.T)
     sharp = central_difference(smooth, rate)
-    fast = torch.quantile(sharp.abs(), 0.95, dim=-1, keepdim=True)
-    sign = low.apply(torch.tanh(sharp / (0.02 * fast).clamp(min=SLOW)))
+    sign = low.apply(direction_of(sharp))
     extent = q.amax(-1, keepdim=True) - q.amin(-1, keepdim=True)
-    moving = (sign.abs() > 0.5) & (extent > least[:, None])
+    moving = (sign.abs() > MOVING) & (extent > least[:, None])
     every = max(1, int(rate / max(_PER_PERIOD * cutoff, 0.0)), int(rate / most_per_second))
     if bool(lengths.any()):
         sign = low.apply(_loop(smooth, lengths))
@@ -191,6 +192,12 @@ def _stretch(
     if count < 2 * edge + 10:
         return None
     return Stretch(log.t[picked], motion, moving, tau, slice(edge, count - edge))
+
+
+def direction_of(dq: Tensor, dim: int = -1) -> Tensor:
+    """Direction of motion, -1 to 1, from velocities [rad/s or m/s] along a dimension."""
+    fast = torch.quantile(dq.abs(), 0.95, dim=dim, keepdim=True)
+    return torch.tanh(dq / (0.02 * fast).clamp(min=SLOW))
 
 
 def _loop(q: Float[Tensor, "n T"], lengths: Float[Tensor, " n"]) -> Float[Tensor, "n T"]:

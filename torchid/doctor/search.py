@@ -77,10 +77,10 @@ class Search:
 
     @property
     def explained(self) -> bool:
-        """Whether bodies explain the torque at all; of torque that they do not, every hypothesis
-        is as wrong, and one that wins means nothing."""
+        """Whether bodies explain the torque of more than half of the joints; of torque that they do
+        not, every hypothesis is as wrong, and one that wins means nothing."""
         live = np.isfinite(self.held_out).any(0)
-        return bool(live.any() and np.median(self.left[live]) < UNEXPLAINED)
+        return bool(2 * (self.left[live] < UNEXPLAINED).sum() > live.sum())
 
 
 def search(judge: Judge, start: Hypothesis, fixes: Collection[str] = ()) -> Search:

@@ -13,9 +13,10 @@ from torchid.doctor.check import Check, Choice, Verdict, judged, said, with_choi
 from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import scaled
+from torchid.dynamics.newton_euler import joint_wrenches
 from torchid.log.model import Log
 from torchid.robot.model import JointType
-from torchid.statistics.criteria import CAD_SIZE, CLEAR_GAIN, ODD_SIZE, OTHER_UNIT
+from torchid.statistics.criteria import CAD_SIZE, CLEAR_GAIN, ODD_SIZE, OTHER_UNIT, TOLD
 from torchid.statistics.jackknife import fit_statistics
 
 BELOW_LIMIT = 5e-3
@@ -23,6 +24,8 @@ BELOW_LIMIT = 5e-3
 DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
 on arms from a desk to a foundry, a thousand times that in N mm."""
+ALONG = 0.9
+"""Cosine of the angle from a joint's axis from which a moment is its torque [1]."""
 _SHOWN = 0.1
 """Spread of a joint's nominal torque, at the size that fits, over that of the measured one: 0.5 and
 more on arms, but of wrists that no parameter moves."""
@@ -84,6 +87,30 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
         rows.append((j, float(values[0]), low, high))
     table = np.array([r[1:] for r in rows]).reshape(-1, 3)
     return Slopes(tuple(r[0] for r in rows), *table.T)
+
+
+def other_moments(judge: Judge, hypothesis: Hypothesis, joints: Collection[int]) -> dict[int, str]:
+    """Of which of these joints the torque is as another component of the moment that the joint
+    passes on is, in the axes of its link's frame (`x`, `y`, `z`), beside friction; by joint from 0.
+    """
+    robot, found = judge.robot, dict[int, str]()
+    if robot.parameters is None or not robot.parameters.pi.any():
+        return found
+    q, dq, ddq, _ = judge.motion(hypothesis).unbind(-1)
+    moments = joint_wrenches(robot, q, dq, ddq)[..., 3:].numpy()
+    own, tau = judge.own(hypothesis).numpy(), judge.torque(hypothesis)
+    moving = judge.moving(hypothesis)
+    for j in joints:
+        link, use = robot.own_links[j], moving[:, j]
+        axis = robot.after[link, 2, :3].tolist()
+        for k, name in enumerate("xyz"):
+            x = np.column_stack([moments[use, link, k], own[use, j]])
+            slope, *rest = np.linalg.lstsq(x, tau[use, j], rcond=1e-9)[0]
+            left = (tau[use, j] - x @ [slope, *rest]).std() / tau[use, j].std()
+            size = abs(math.log(max(abs(slope), 1e-300)))
+            if abs(axis[k]) < ALONG and left < TOLD and size < math.log(CAD_SIZE):
+                found[j] = name
+    return found
 
 
 def nominal_loss(judge: Judge, hypothesis: Hypothesis, size: float | None = None) -> float:

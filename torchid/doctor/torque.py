@@ -6,6 +6,7 @@ import numpy as np
 
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, said
+from torchid.log.channels import odd_channels
 from torchid.log.checks import NO_TORQUE, least_way
 from torchid.statistics.spectrum import density
 from torchid.typing import Float, Tensor
@@ -55,6 +56,15 @@ def check_silent_runs(case: Case) -> Sequence[Check]:
             values = ", ".join(f"{x:.4g}" for x in signal[rows][0, silent].tolist())
             return [said("runs", "wrong silent", joints=silent, run=name, values=values)]
     return ()
+
+
+def check_channels(case: Case) -> Sequence[Check]:
+    """Torque and current that look wrong by themselves."""
+    limits = case.robot.limits.torque
+    odd = odd_channels(case.log, None if limits is None else limits.abs().amax(-1))
+    joints = sorted({k for o in odd for k in o.joints})
+    text = "; ".join(map(str, odd))
+    return [said("channels", "doubtful", joints=joints, text=text)] if odd else ()
 
 
 def _span(x: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:

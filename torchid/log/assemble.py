@@ -231,7 +231,7 @@ def _plan(
 
 
 def _needed(pieces: Mapping[str, tuple[Piece, ...]], own: list[str]) -> list[str]:
-    named = [piece.name for group in pieces.values() for piece in group]
+    named = [name for group in pieces.values() for piece in group for name in piece.names]
     return list(dict.fromkeys([*own, *named]))
 
 

@@ -311,7 +311,7 @@ def _guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) 
         if source is not None and key in keys and key in ("t", "q", "dq", "tau", "u")
     }
     pieces = {key: resolve(key, source, table) for key, source in silent.items()}
-    arrays = table.read([piece.name for group in pieces.values() for piece in group])
+    arrays = table.read([n for group in pieces.values() for piece in group for n in piece.names])
     found: dict[str, str] = {}
     step = 1.0
     if "t" in silent:

@@ -12,7 +12,8 @@ factor `*0.001` (or ` /1000`), and at the end, after a space, what is added to t
                            {3,1,2} these in this order
     joint_pos              an array (samples, joints), or a column
     state[:,0:7]           some columns of an array, counted from 0 as in Python
-    [shoulder, elbow]      named columns, in the robot's order
+    [shoulder, elbow]      named columns, in the robot's order; [q1, q2, q3-q2]: a sum or
+                           difference of two, of joints that are coupled
     'Joint {j} (deg)'      a name with spaces, commas or brackets
 
 `*` in a source stands for anything, and every value of it is a trajectory (`demo_*/q`); `t=500 Hz`

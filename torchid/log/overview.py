@@ -11,6 +11,7 @@ from torchid.errors import LogError
 from torchid.json_data import plain
 from torchid.log.assemble import unused_columns
 from torchid.log.base_motion import COORDINATES
+from torchid.log.channels import OddChannel, odd_channels
 from torchid.log.checks import check_log
 from torchid.log.columns import JOINT_SIGNALS, PREFIXES
 from torchid.log.model import Log, finite_range
@@ -73,6 +74,7 @@ class Overview:
         units: that each signal is taken to be in.
         ranges: (n, 2) smallest and largest finite value by signal; NaN where there is none.
         unused: columns of the first file that were not taken.
+        odd: columns that look wrong by themselves.
         problem: why the identification would refuse the log, or None.
         warnings: of reading, and of `check_log`.
     """
@@ -85,6 +87,7 @@ class Overview:
     units: dict[str, str]
     ranges: dict[str, Float[Tensor, "n 2"]]
     unused: tuple[str, ...]
+    odd: tuple[OddChannel, ...]
     problem: str | None
     warnings: tuple[str, ...]
 
@@ -95,6 +98,7 @@ def look_at(
     *,
     robot_name: str | None = None,
     position_limits: Float[Tensor, "n 2"] | None = None,
+    effort: Float[Tensor, " n"] | None = None,
     prismatic: Sequence[bool] = (),
     moving_base: bool = False,
 ) -> Overview:
@@ -106,6 +110,7 @@ def look_at(
         robot_name: of the robot they are checked for; without it they are checked as far as that
             goes.
         position_limits, prismatic, moving_base: as for `check_log`.
+        effort: largest torque (n,) of each joint [N m; N]; None where it is not known.
 
     Raises:
         LogError: the files cannot be read.
@@ -130,6 +135,7 @@ def look_at(
     # Of revolute joints or prismatic ones; both where the robot has both or is not known.
     alike, which = robot_name is not None and len(set(prismatic)) <= 1, -1 if any(prismatic) else 0
     joints = request.joints or next((t.joints for t in tables if t is not None and t.joints), ())
+    odd = tuple(odd_channels(log, effort if effort is not None and len(effort) == log.n else None))
     return Overview(
         log=log,
         tables=tables,
@@ -142,8 +148,9 @@ def look_at(
         unused=()
         if tables[0] is None or tables[0].origins
         else tuple(unused_columns(tables[0], request.columns)),
+        odd=odd,
         problem=problem,
-        warnings=tuple(dict.fromkeys((*log.warnings, *found))),
+        warnings=tuple(dict.fromkeys((*log.warnings, *found, *map(str, odd)))),
     )
 
 

@@ -20,11 +20,19 @@ Index = slice | list[int]
 
 @dataclass(frozen=True)
 class Piece:
-    """A column, an array, or some columns or rows of one."""
+    """A column, an array, or some columns or rows of one; or a column and another one that is added
+    to it `times` times."""
 
     name: str
     columns: Index | None = None
     rows: Index | None = None
+    other: str | None = None
+    times: float = 1.0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the columns of the table that it is of."""
+        return (self.name,) if self.other is None else (self.name, self.other)
 
     def of(self, array: np.ndarray, label: str) -> np.ndarray:
         """The part of the array."""
@@ -58,6 +66,10 @@ def resolve(key: str, source: Source, table: Table) -> tuple[Piece, ...]:
 def _piece(key: str, text: str, table: Table) -> Piece:
     if text in table.columns:
         return Piece(text)
+    for m in re.finditer("[-+]", text):
+        one, other = text[: m.start()].strip(), text[m.end() :].strip()
+        if one in table.columns and other in table.columns:
+            return Piece(one, other=other, times=-1.0 if m[0] == "-" else 1.0)
     found = _INDEXED.fullmatch(text)
     if found is None or found[1] not in table.columns:
         raise _absent(key, found[1] if found else text, table)
@@ -174,8 +186,12 @@ def signal_of(
     parts = []
     for piece in pieces:
         label = f"'{table.path}': column {piece.name}"
-        part = numbers_of(piece.of(arrays[piece.name], label), label)
-        parts.append(samples_first(part, samples, label))
+        part = samples_first(numbers_of(piece.of(arrays[piece.name], label), label), samples, label)
+        if piece.other is not None:
+            label = f"'{table.path}': column {piece.other}"
+            added = samples_first(numbers_of(arrays[piece.other], label), samples, label)
+            part = part + piece.times * added
+        parts.append(part)
     if len({len(part) for part in parts}) > 1 or len(parts[0]) != samples:
         lengths = [f"{piece.name}: {len(part)}" for piece, part in zip(pieces, parts, strict=True)]
         raise LogError(

@@ -1,11 +1,13 @@
 """A log and a motion for people: what it is seen as, and its figure."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from rich.text import Text
 
 from torchid.design.repeats import Repeat
+from torchid.log.channels import OddChannel
 from torchid.log.columns import JOINT_SIGNALS
 from torchid.log.model import Log
 from torchid.log.overview import Overview
@@ -18,6 +20,8 @@ from torchid.robot.model import JointType, Robot
 
 SIGNALS = (("position", "q"), ("velocity", "dq"), ("acceleration", "ddq"))
 """Names of the signals of a motion, and their fields."""
+SMALL: dict[str, Any] = {"color": RED, "fontsize": 7}
+"""Of what is written into a panel."""
 _SHOWN = 40
 _CONSEQUENCES = {
     "dq": "differentiated from q",
@@ -135,9 +139,14 @@ def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None =
     return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
 
 
-def signals_figure(log: Log) -> Figure:
+def signals_figure(log: Log, odd: Sequence[OddChannel] = ()) -> Figure:
     """Position with its command, velocity and torque (or current) of each joint, as far as they
-    were measured; trajectories one after the other."""
+    were measured; trajectories one after the other.
+
+    Args:
+        log: of which.
+        odd: columns that look wrong, in red with the reason.
+    """
     effort = "tau" if log.tau is not None or log.current is None else "current"
     columns = [
         (name, field)
@@ -148,16 +157,24 @@ def signals_figure(log: Log) -> Figure:
         )
         if getattr(log, field) is not None
     ]
+    reasons = {(o.signal, j): o.why for o in reversed(odd) for j in o.joints}
     starts = torch.tensor([0.0, *log.duration]).cumsum(0).tolist()
     figure, grid = joint_rows(log.n, [name for name, _ in columns], (11, 1.0 + 1.25 * log.n))
     for start, run in zip(starts, log.trajectories(), strict=False):
         t = thin(run.t - run.t[0]) + start
         for column, (_, field) in zip(grid.T, columns, strict=True):
             for j, axes in enumerate(column):
-                axes.plot(t, thin(getattr(run, field)[:, j]), color=BLUE, label="measured")
+                colour = RED if (field, j) in reasons else BLUE
+                axes.plot(t, thin(getattr(run, field)[:, j]), color=colour, label="measured")
                 if field == "q" and run.u is not None:
                     axes.plot(t, thin(run.u[:, j]), color=ORANGE, linewidth=0.8, label="commanded")
                 axes.axvline(start, color="0.8", linewidth=0.6)
+    shown = [field for _, field in columns]
+    for (field, j), why in reasons.items():
+        if field in shown:
+            axes = grid[j, shown.index(field)]
+            behind = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1}
+            axes.text(0.01, 0.95, why, **SMALL, va="top", bbox=behind, transform=axes.transAxes)
     return finish(figure, log.source, *(grid[:1, 0] if log.u is not None else ()))
 
 

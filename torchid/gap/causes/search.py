@@ -384,9 +384,7 @@ class Search:
         """
         library, settings = self.library, self.library.problem.settings
         size = settings.worthwhile_torque * library.torque
-        least = np.maximum(
-            settings.worthwhile * error, 0.5 * size**2 / np.maximum(error, 1e-300)
-        )
+        least = np.maximum(settings.worthwhile * error, 0.5 * size**2 / np.maximum(error, 1e-300))
         beyond = error**2 - share * library.known_noise**2
         by = np.where(beyond > 0, error - np.sqrt(np.maximum(beyond, 0.0)), error)
         return np.maximum(np.maximum(least, by), 1e-300)
