@@ -14,7 +14,7 @@ def found(effect: str, *joints: int, **changes: Any) -> dict[str, Any]:
     """An accepted effect on joints, which count from 1."""
     return {
         "effect": effect, "family": "sign", "joints": list(joints), "common": False,
-        "ambiguous_with": [], "parameters": {}, "p_value": None, "std": {}, "unit": {},
+        "ambiguous_with": [], "parameters": {}, "file": {}, "std": {}, "unit": {},
         "shape": [], "places": [], "share": 0.5, **changes,
     }  # fmt: skip
 
@@ -31,11 +31,12 @@ def gap(robot: Robot, **changes: Any) -> dict[str, Any]:
     """A diagnosis that found nothing, with changes."""
     n = robot.n
     return {
-        "schema": "torchid.gap/1", "robot": robot.name, "status": "explained",
+        "schema": "torchid.gap/2", "robot": robot.name, "status": "explained",
         "where": {"joints": [], "regimes": []}, "which": [],
         "how_far": {
-            "rms_before": 1.0, "rms_after": 0.1, "noise_floor_rms": [0.1, 0.2], "closed": 0.9,
-            "closed_ci95": [0.8, 1.0], "per_joint": [],
+            "rms_before": 1.0, "rms_after": 0.1, "on": [], "how": "left out in turn",
+            "noise_floor_rms": [0.1, 0.2], "closed": 0.9, "closed_ci95": [0.8, 1.0],
+            "per_joint": [],
         },
         "budget": {"parametric": 0.0, "structural": 0.9, "unexplained": 0.1},
         "not_testable": [], "next_experiment": None,

@@ -9,7 +9,6 @@ error: what is new is paid for in the same room, or the budget is raised by hand
 import argparse
 import ast
 import io
-import json
 import tokenize
 import tomllib
 from collections import Counter
@@ -18,8 +17,6 @@ from pathlib import Path
 from tests.documents import PACKAGES, ROOT
 
 BUDGETS = Path(__file__).with_suffix(".toml")
-REPLACING = "gap/causes"
-"""A room that is built to replace most of the one that it is in, with a budget of its own."""
 _NO_CODE = {
     tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
     tokenize.ENDMARKER, tokenize.ENCODING,
@@ -45,8 +42,6 @@ def rooms() -> Counter[str]:
     for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*.py")):
         package, *folders = path.relative_to(ROOT).parts[:-1]
         room = package if package != "torchid" else folders[0] if folders else "top"
-        if folders[:2] == REPLACING.split("/"):
-            room = REPLACING
         found[room] += code_lines(path.read_text())
     return found
 
@@ -70,10 +65,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="today's lines become the budgets")
     found = rooms()
     if parser.parse_args().write:
-        lines = [
-            f"{json.dumps(room) if '/' in room else room} = {-(-lines // 10) * 10}"
-            for room, lines in sorted(found.items())
-        ]
+        lines = [f"{room} = {-(-lines // 10) * 10}" for room, lines in sorted(found.items())]
         head = "# Lines of code that a room may have (tests/rooms.py)."
         BUDGETS.write_text("\n".join([head, *lines, ""]))
     allowed = budgets()

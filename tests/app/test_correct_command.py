@@ -58,7 +58,7 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
     )  # fmt: skip
     assert done.code == 0, done.err
     # What --json asked for is the diagnosis.
-    assert json.loads(record.read_text())["schema"] == "torchid.gap/1"
+    assert json.loads(record.read_text())["schema"] == "torchid.gap/2"
     said = json.loads((out / "correction.json").read_text())
     assert said["schema"] == "torchid.correction/1"
     errors = said["judged"]["torque_error_percent"]

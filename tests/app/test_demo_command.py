@@ -52,4 +52,4 @@ def test_the_diagnosis_knows_nothing_of_the_key(tmp_path) -> None:
     demo = demonstrate(files, 0)
     assert demo.opened[-1].planted == other
     assert demo.opened[-1].finding is None
-    assert [f.effect.name for f in demo.others] == ["torque_offset"]
+    assert [f.effect for f in demo.others] == ["torque_offset"]

@@ -100,7 +100,7 @@ def test_friction_is_found_and_the_saved_model_has_it(command, runs, tmp_path, t
     done = command("gap", "3r", *logs, *FEW, *options)
     assert done.code == 0, done.err
     said = json.loads(target.read_text())
-    assert said["schema"] == "torchid.gap/1"
+    assert said["schema"] == "torchid.gap/2"
     assert said["seed"] == 3
     assert said["status"] == "explained"
     (only,) = said["which"]
@@ -124,7 +124,7 @@ def test_ctrl_c_keeps_the_answer_that_stood(command, runs, tmp_path, monkeypatch
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchid.gap.torque.explanation_of", stopped)
+    monkeypatch.setattr("torchid.gap.torque.decide", stopped)
     logs = [runs / f"{name}.csv" for name in ("a", "b")]
     done = command("gap", "3r", *logs, *FEW, "--out", tmp_path)
     assert done.code == 130
@@ -141,7 +141,7 @@ def test_ctrl_c_writes_over_no_whole_answer(command, runs, tmp_path, monkeypatch
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("torchid.gap.torque.explanation_of", stopped)
+    monkeypatch.setattr("torchid.gap.torque.decide", stopped)
     out = tmp_path / "out"
     out.mkdir()
     for file in (tmp_path / "a.json", out / "gap.json", out / "gap_joint_1.png"):

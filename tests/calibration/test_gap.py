@@ -16,10 +16,10 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
+from torchid.gap.describe.closing import noise_variance
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
-from torchid.gap.validate.closing import noise_variance
 from torchid.log.filtering import low_passed
 from torchid.log.model import Log
 from torchid.parallel.workers import each
@@ -84,12 +84,12 @@ def outcome(case: Case) -> Outcome:
     found = diagnose_torque(
         ROBOT, logged(real, case.seed, case.correlation), settings=GapSettings()
     )
-    ours = [f for f in found.findings if (f.effect.name, f.joints) == (case.name, (1,))]
-    named = len(ours) == len(found.findings) == 1
+    ours = [f for f in found.which if (f.effect, f.joints) == (case.name, (1,))]
+    named = len(ours) == len(found.which) == 1
     inside = None
     if named:
         (true,) = PLANTED[case.name].values()
-        inside = abs(ours[0].values[0] - true) < 1.96 * ours[0].std[0]
+        inside = abs(ours[0].sizes[0].value - true) < 1.96 * ours[0].sizes[0].std
     interval = found.how_far.closed_ci95
     closed = None if interval is None else interval[0] <= truly_closed(found, real) <= interval[1]
     return Outcome(found.status, named, inside, closed)

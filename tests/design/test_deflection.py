@@ -68,7 +68,7 @@ def flexible(c: float) -> Log:
 
 
 def named(found: TorqueDiagnosis) -> list[tuple[str, tuple[int, ...]]]:
-    return [(f.effect.name, f.located) for f in found.findings]
+    return [(f.effect, f.at) for f in found.which]
 
 
 @pytest.mark.nightly
@@ -76,9 +76,9 @@ def test_a_link_side_encoder_shows_what_torques_do_not():
     log, settings = flexible(SOFT), GapSettings()
     found = diagnose_torque(ROBOT, log, settings=settings)
     assert named(found) == [("joint_elasticity", (JOINT,))]
-    (finding,) = found.findings
-    assert abs(finding.values[0] / SOFT - 1) < 0.03
-    assert abs(finding.values[0] - SOFT) < 4 * finding.std[0]
+    (finding,) = found.which
+    assert abs(finding.sizes[0].value / SOFT - 1) < 0.03
+    assert abs(finding.sizes[0].value - SOFT) < 4 * finding.sizes[0].std
     assert finding.ambiguous_with == ()
     assert found.status == "explained"
     assert "encoders of motor and link" in " ".join(finding.notes)

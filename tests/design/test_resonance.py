@@ -70,8 +70,8 @@ def test_the_diagnosis_names_it(tmp_path: Path) -> None:
     robot, log = logged(tmp_path, 10.0)
     settings = GapSettings(effects=("joint_elasticity", "viscous_friction"))
     found = diagnose_torque(robot, log, settings=settings)
-    assert [f.effect.name for f in found.findings] == ["joint_elasticity"]
-    assert any("swings" in note for note in found.findings[0].notes)
+    assert [f.effect for f in found.which] == ["joint_elasticity"]
+    assert any("swings" in note for note in found.which[0].notes)
 
 
 def test_what_is_noise_is_taken_out() -> None:

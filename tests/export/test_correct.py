@@ -120,7 +120,7 @@ def test_fields_and_bodies_that_the_file_can_say_are_found(tmp_path):
 def test_the_claim_is_what_the_engine_says(done):
     judged = done.judged
     assert judged.by.startswith("MuJoCo")
-    assert judged.held_out == "a held-out log"
+    assert judged.held_out == "trajectory"
     assert bool((judged.engine < CLAIMED * judged.claim + 1).all())
     assert bool((judged.claim < CLAIMED * judged.engine + 1).all())
     assert bool((judged.full < judged.engine + 0.1).all())

@@ -71,7 +71,7 @@ def test_the_file_moves_as_the_arm_did(name, tmp_path):
     other = planted(arm.servos, motions=3, seconds=6.0, seed=5)
     done = correct(robot(), arm, log, "mjcf", tmp_path, held_out=other, with_effects="mjlab")
     found = done.judged
-    assert found.held_out == "a held-out log"
+    assert found.held_out == "3 held-out logs"
     assert float(found.nominal.min()) > 20.0
     # MuJoCo's own solution of dry friction, and encoder counts of 1.5 mrad.
     assert float(found.run_time.max()) < 1.5

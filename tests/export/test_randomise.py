@@ -5,7 +5,6 @@ import json
 import runpy
 import sys
 import types
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -39,25 +38,25 @@ def found() -> GapRecord:
 
 @pytest.mark.slow
 def test_a_diagnosis_holds_the_covariance_of_all_that_it_names(found: GapRecord) -> None:
-    told, *_ = found.joint_fits
+    told = found.covariance
+    assert told is not None
     std = dict(
         zip(
             [(c.effect, c.names[0]) for c in told.coefficients],
-            told.covariance.diagonal().sqrt().tolist(),
+            told.matrix.diagonal().sqrt().tolist(),
             strict=True,
         )
     )
-    assert not told.words
     # The same standard deviations as coefficient by coefficient, and a covariance beside them.
     for one in found.which:
         for name, value in one.std.items():
             place = f"{name}{one.joints[0] + 1}" if one.effect != "payload" else name
             assert std.pop((one.effect, place)) == pytest.approx(value, rel=1e-9)
     assert not std
-    values, _ = torch.linalg.eigh(told.covariance)
+    values, _ = torch.linalg.eigh(told.matrix)
     assert float(values.min()) > -1e-12 * float(values.max())
-    size = told.covariance.diagonal().sqrt()
-    assert float((told.covariance / size / size[:, None]).tril(-1).abs().max()) > 0.3
+    size = told.matrix.diagonal().sqrt()
+    assert float((told.matrix / size / size[:, None]).tril(-1).abs().max()) > 0.3
 
 
 @pytest.mark.slow
@@ -73,9 +72,9 @@ def test_draws_have_the_covariance_of_the_fit(found: GapRecord) -> None:
         for e, _ in fields.draws.effects[0]
         if e.name in KNOWN[:2]
     ]
-    fit = friction_alone(found).joint_fits[0]
+    fit = friction_alone(found).covariance
     order = [[(c.effect, c.names[0]) for c in fit.coefficients].index(n) for n in names]
-    expected = fit.covariance[order][:, order]
+    expected = fit.matrix[order][:, order]
     got = drawn.T.cov()
     scale = expected.diagonal().sqrt()
     assert float(((got - expected) / scale / scale[:, None]).abs().max()) < 0.1
@@ -83,14 +82,15 @@ def test_draws_have_the_covariance_of_the_fit(found: GapRecord) -> None:
 
 def friction_alone(found: GapRecord) -> GapRecord:
     """The same fit, of which only friction is not known."""
-    told, *_ = found.joint_fits
+    told = found.covariance
+    assert told is not None
     keep = [k for k, c in enumerate(told.coefficients) if c.effect in KNOWN[:2]]
     fit = msgspec.structs.replace(
         told,
         coefficients=tuple(told.coefficients[k] for k in keep),
-        covariance=told.covariance[keep][:, keep],
+        matrix=told.matrix[keep][:, keep],
     )
-    return msgspec.structs.replace(found, joint_fits=(fit,))
+    return msgspec.structs.replace(found, covariance=fit)
 
 
 def test_all_bodies_exist_and_vary_as_the_torque_says(found: GapRecord) -> None:
@@ -109,28 +109,6 @@ def test_all_bodies_exist_and_vary_as_the_torque_says(found: GapRecord) -> None:
     apart = (drawn.mean(0) - base.project(truth.to_paper_order())) / drawn.std(0)
     varies = drawn.std(0) > 1e-9 * drawn.abs().amax(0)
     assert float(apart[varies].abs().median()) < 2
-
-
-def test_explanations_that_are_as_good_are_drawn_by_their_odds(found: GapRecord) -> None:
-    (told,) = friction_alone(found).joint_fits
-    assert found.corrected is not None
-    more = [
-        dict(e) | ({"Fc": 2.5} if e["effect"] == "coulomb_friction" else {})
-        for e in found.corrected.effects
-    ]
-    other = msgspec.structs.replace(
-        told,
-        weight=0.25,
-        words="coulomb_friction of joint 2 in the place of another",
-        corrected=replace(found.corrected, effects=tuple(more)),
-    )
-    both = (msgspec.structs.replace(told, weight=0.75), other)
-    wide = randomise(msgspec.structs.replace(found, joint_fits=both))
-    assert wide.explanations[1].draws == pytest.approx(64, abs=2)
-    (row,) = (r for r in wide.ranges if (r.field, r.name) == ("friction", "joint_2"))
-    assert row.low < 2.01
-    assert row.high > 2.49
-    assert "25 % of the draws" in row.why
 
 
 def test_files_hold_what_was_drawn_and_run_in_their_packages(
@@ -206,12 +184,12 @@ def test_files_hold_what_was_drawn_and_run_in_their_packages(
 
 
 def test_older_files_load_and_say_what_they_lack(found: GapRecord, tmp_path: Path) -> None:
-    data = {k: v for k, v in found.plain().items() if k not in ("joint_fits", "residual")}
+    data = {k: v for k, v in found.plain().items() if k not in ("covariance", "residual")}
     file = tmp_path / "gap.json"
     file.write_text(json.dumps(data))
     older = torchid.load(file)
     assert isinstance(older, GapRecord)
-    assert older.joint_fits == ()
+    assert older.covariance is None
     with pytest.raises(TorchidError, match="holds no covariance"):
         randomise(older)
 

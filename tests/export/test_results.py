@@ -208,7 +208,7 @@ def test_pseudo_inertia_is_not_mistaken_for_the_inertia_about_the_origin(tmp_pat
     [
         ("not json", "not JSON"),
         ("[1]", "a JSON object"),
-        ('{"schema": "torchid.gap/1"}', "carries no dynamics"),
+        ('{"schema": "torchid.gap/2"}', "carries no dynamics"),
         ('{"schema": "torchid.feasibility/1"}', "carries no dynamics"),
     ],
 )

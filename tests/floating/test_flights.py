@@ -66,10 +66,10 @@ def test_all_parameters_of_the_base_are_identified(robot, identified):
 def test_a_wrong_forearm_is_named_and_nothing_else(robot, heavier):
     log = log_from_columns(flown.flights(heavier, count=4, seed=2, noise=0.01), "flights.csv")
     found = torchid.diagnose(robot, log, settings=GAP)
-    named = [link for one in found.parametric for link in one.links]
+    named = [link for one in found.which if one.effect == "link_inertia" for link in one.at]
     fore = robot.link_names.index("left_fore")
     assert named == ([robot.own_links.index(fore)] if heavier else [])
-    assert not found.findings
+    assert {one.effect for one in found.which} <= {"link_inertia"}
 
 
 def test_a_moving_base_that_was_not_measured_is_one_error(robot, columns):

@@ -3,28 +3,30 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from tests.arms import arm
-from torchid.effects.base import Motion
+from tests.causes import numbers
+from torchid.effects.base import Effect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
-from torchid.gap.diagnosis import Finding, HowFar, TorqueDiagnosis, Trace
+from torchid.gap.diagnosis import HowFar, TorqueDiagnosis, Trace
 from torchid.gap.record import (
     Budget,
     Experiment,
     Informative,
     JointGap,
     NoiseFloor,
-    Parametric,
     RegimeGap,
     Status,
-    Window,
 )
 from torchid.gap.settings import GapSettings
+from torchid.gap.told import told_bodies, unit_of
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.results.answer import NotTestable
+from torchid.results.cause import Cause, Size
 
 BAND = 20.0
 NOISE = 0.05
@@ -110,28 +112,27 @@ def some_left(motion: Motion, model: Tensor) -> Tensor:
     return 0.05 * coulomb(motion, model)
 
 
-FRICTION = Finding(
-    effect=CoulombFriction(1),
-    values=(0.61,),
-    joints=(1,),
-    ambiguous_with=(),
-    std=(0.02,),
-    p_value=1e-9,
-    how_sure=0.999,
-    share=0.9,
-    alone=0.92,
-    removes=(0.1, 0.2),
+def cause(effect: Effect, value: float, std: float | None, **more: Any) -> Cause:
+    """An effect with its first coefficient."""
+    first = effect.coefficients[0]
+    size = Size(first.name, unit_of(first.unit, effect.joints, arm("3r")), value, std)
+    return Cause(
+        **numbers(size), **{
+            "effect": effect.name, "family": effect.family, "joints": effect.joints,
+            "meaning": effect.meaning, "remedy": effect.remedy, "removes": (0.1, 0.2), **more,
+        },
+    )  # fmt: skip
+
+
+FRICTION = cause(
+    CoulombFriction(1), 0.61, 0.02, how_sure=0.999, share=0.9, alone=0.92,
     notes=("its value rises with the cut-off",),
-)
-VISCOUS = replace(
-    FRICTION, effect=ViscousFriction(0), values=(0.2,), joints=(0,), std=(0.1,), share=0.05,
-    alone=0.06, removes=(0.1, 0.2), p_value=0.004, how_sure=0.4,
-    ambiguous_with=("power_law_friction", "time_delay"), notes=(),
 )  # fmt: skip
-OFFSET = replace(
-    FRICTION, effect=TorqueOffset(2), values=(-0.13,), joints=(2,), std=(math.nan,), share=0.02,
-    alone=0.03, removes=(0.1, 0.2), notes=(),
+VISCOUS = cause(
+    ViscousFriction(0), 0.2, 0.1, how_sure=0.4, share=0.05, alone=0.06,
+    ambiguous_with=("power_law_friction", "time_delay"),
 )  # fmt: skip
+OFFSET = cause(TorqueOffset(2), -0.13, None, how_sure=0.999, share=0.02, alone=0.03)
 
 
 def diagnosis(status: Status = "explained", **changes: object) -> TorqueDiagnosis:
@@ -145,17 +146,10 @@ def diagnosis(status: Status = "explained", **changes: object) -> TorqueDiagnosi
         JointGap(2, 0.05, (0.04, 0.06), 0.0),
     ]
     regimes = [
-        RegimeGap(1, "velocity_reversal", 0.64, (0.55, 0.71), 0.002),
-        RegimeGap(1, "low_speed", 0.2, (0.02, 0.35), 0.03),
-        RegimeGap(
-            2,
-            "transient",
-            0.4,
-            (0.1, 0.6),
-            0.01,
-            (Window("run1", 12.25, 12.75), Window("run2", 1.0, 1.25)),
-        ),
-        RegimeGap(0, "slow_drift", 0.1, (-0.1, 0.3), 0.02),
+        RegimeGap(1, "reversal", 0.64, (0.55, 0.71), 0.002),
+        RegimeGap(1, "slow", 0.2, (0.02, 0.35), 0.03),
+        RegimeGap(2, "rest", 0.4, (0.1, 0.6), 0.01),
+        RegimeGap(0, "fast", 0.1, (-0.1, 0.3), 0.02),
     ]
     made = TorqueDiagnosis(
         robot=robot,
@@ -163,8 +157,7 @@ def diagnosis(status: Status = "explained", **changes: object) -> TorqueDiagnosi
         status=status,
         joints=tuple(gaps),
         regimes=tuple(regimes),
-        findings=(FRICTION,),
-        parametric=(),
+        causes=(FRICTION,),
         how_far=HowFar(before, after, 0.93, (0.9, 0.95)),
         budget=Budget(0.02, 0.93, 0.05),
         floor=floor(),
@@ -186,10 +179,12 @@ def diagnosis(status: Status = "explained", **changes: object) -> TorqueDiagnosi
         refitted=False,
         warnings=("the log is short",),
     )
-    empty = {"findings": (), "parametric": ()}
+    empty = {"causes": ()}
     by_status: dict[str, dict[str, object]] = {
         "no_gap": empty | {"how_far": HowFar(after, after, None, None)},
-        "parametric_only": {"findings": (), "parametric": (Parametric((2,), 0.8, 1e-5),)},
+        "parametric_only": {"causes": (told_bodies((2,), share=0.8),)},
         "not_testable": empty,
     }
-    return replace(made, **(by_status.get(status, {}) | changes))  # type: ignore[arg-type]
+    changes = by_status.get(status, {}) | changes
+    changes["causes"] = tuple(sorted(changes.get("causes", made.causes), key=lambda c: -c.share))
+    return replace(made, **changes)  # type: ignore[arg-type]

@@ -8,18 +8,21 @@ import torch
 
 from tests.gap.motions import ROBOT, motion_at, noises, segment_of, times
 from torchid.design.columns import Columns, Model
-from torchid.design.repeats import find_repeats
+from torchid.design.repeats import Repeats, find_repeats
 from torchid.design.segments import Samples, Segment, moving_samples
 from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import Valued, model_torque
+from torchid.gap.causes.candidates import Library, Term
+from torchid.gap.causes.search import Search
 from torchid.gap.data import Data, sharp_direction
+from torchid.gap.describe.model import Explanation
 from torchid.gap.folds import make_folds
 from torchid.gap.problem import Problem
-from torchid.gap.search.evidence import Question
-from torchid.gap.search.terms import Term, Wanted, candidates_of
 from torchid.gap.settings import GapSettings
+from torchid.gap.wanted import Wanted
 from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.robot.model import Robot
+from torchid.statistics.blocks import block_numbers
 from torchid.typing import Tensor
 
 CUTOFF = 8.0
@@ -77,29 +80,6 @@ def wanted_of(names: Sequence[str], *, free: bool = False, inertial: bool = Fals
     return Wanted(tuple(names), free, (), inertial, None, base_of_3r())
 
 
-def question_of(
-    data: Data,
-    names: Sequence[str] = SIMPLE,
-    *,
-    given: Sequence[Valued] = (),
-    extra: Sequence[Effect] = (),
-    columns: Columns | None = None,
-    free: bool = False,
-    inertial: bool = False,
-    settings: GapSettings = SETTINGS,
-) -> Question:
-    """Candidates for the gap between data and the 3R with given effects."""
-    columns = columns or Columns(Model(ROBOT, tuple(given)), data.samples)
-    # The columns' own segments may have another torque.
-    torque = [columns.model.torque(s, data.samples) for s in data.segments]
-    tau = [s.tau for s in data.segments]
-    gap = data.samples.of([(a - b).T for a, b in zip(tau, torque, strict=True)])
-    wanted = wanted_of(names, free=free, inertial=inertial)
-    model = Model(ROBOT, tuple(given))
-    found = candidates_of(columns, gap, data, wanted, model, tuple(extra))
-    return Question(found, found.gram.normal, settings)
-
-
 def two_folds(data: Data) -> Tensor:
     """Two folds, a half of every run each; a few samples are between them."""
     parts = torch.ones(len(data.samples), dtype=torch.long)
@@ -110,25 +90,59 @@ def two_folds(data: Data) -> Tensor:
     return parts
 
 
-def term(question: Question, name: str, place: int | None) -> Term:
-    """The first candidate of this name and place."""
-    return next(t for t in question.candidates.terms if (t.name, t.place) == (name, place))
+def search_of(
+    data: Data,
+    names: Sequence[str] = SIMPLE,
+    *,
+    given: Sequence[Valued] = (),
+    events: Sequence[Effect] = (),
+    inertial: bool = False,
+    robot: Robot = ROBOT,
+) -> Search:
+    """A search, not begun, for the gap between data and a robot with given effects."""
+    wanted = wanted_of(names, inertial=inertial)
+    return Search(Library(problem_of(data, wanted, robot, given), events))
 
 
-def named(terms: Sequence[Term]) -> set[tuple[str, int | None]]:
-    return {(t.name, t.place) for t in terms}
+def term(search: Search, effect: Effect) -> Term:
+    """The candidate that is an effect; one with this shape where there is none."""
+    library = search.library
+    every = [t for t in library.terms if t.effect == effect] or [library.of_effect(effect)]
+    assert every[0] is not None
+    return every[0]
 
 
-def problem_of(data: Data, wanted: Wanted, robot: Robot = ROBOT) -> Problem:
-    """The gap between data and a robot, with blocks of fifty samples."""
-    repeats = find_repeats(data.segments)
+def on_joint(search: Search, name: str, joint: int) -> Term:
+    """The first candidate of this name on a joint."""
+    return next(t for t in search.library.terms if (t.name, t.joints) == (name, (joint,)))
+
+
+def explanation_of(search: Search, terms: Sequence[Term]) -> Explanation:
+    """Terms, with as many samples as are independent in what they leave."""
+    fit = search.again(search.evidence.fit(terms, search.library.rows))
+    return Explanation.of(search.library.problem, search, fit)
+
+
+def problem_of(
+    data: Data,
+    wanted: Wanted,
+    robot: Robot = ROBOT,
+    given: Sequence[Valued] = (),
+    repeats: Repeats | None = None,
+    block: int = 50,
+) -> Problem:
+    """The gap between data and a robot with given effects, with blocks of so many samples."""
+    repeats = find_repeats(data.segments) if repeats is None else repeats
+    columns = Columns(Model(robot, tuple(given)), data.samples)
+    left = [s.tau - columns.model.torque(s, data.samples) for s in data.segments]
     return Problem(
-        given=Columns(Model(robot, ()), data.samples),
+        given=columns,
         data=data,
         judged=None,
         folds=make_folds(data.samples, 5, repeats.groups(len(data.segments))),
-        block=torch.arange(len(data.samples)) // 50,
+        block=block_numbers(data.samples.bounds, block),
         repeats=repeats,
+        apart=tuple(repeats.segments(data.segments, left)),
         wanted=wanted,
         settings=SETTINGS,
         fitted_first=False,

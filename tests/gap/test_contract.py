@@ -1,4 +1,4 @@
-"""torchid.gap/1 as other programs may rely on it, whatever the status: checked on diagnoses of
+"""torchid.gap/2 as other programs may rely on it, whatever the status: checked on diagnoses of
 small simulated logs."""
 
 import copy
@@ -26,7 +26,7 @@ BODY = ("m", "mx", "my", "mz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
 
 def holds(record: dict[str, Any], seconds: float | None = None) -> list[str]:
-    """What of the contract a record of torchid.gap/1 breaks, one sentence each.
+    """What of the contract a record of torchid.gap/2 breaks, one sentence each.
 
     Args:
         record: as `--json` writes it.
@@ -52,7 +52,7 @@ def _status(record: dict[str, Any]) -> Iterator[str]:
     status, closed = record["status"], record["how_far"]["closed"]
     if status not in STATUSES:
         yield f"status '{status}' is none of {STATUSES}"
-    accepted = bool(record["which"] or record["parametric"])
+    accepted = bool(record["answer"]["causes"])
     if status == "no_gap" and accepted:
         yield "no_gap, and something is accepted"
     if status in CLOSES and not accepted:
@@ -72,7 +72,7 @@ def _budget(record: dict[str, Any]) -> Iterator[str]:
     if not all(_number(x) for x in shares.values()):
         yield f"the budget holds no numbers: {shares}"
         return
-    if not record["which"] and not record["parametric"]:
+    if not record["answer"]["causes"]:
         # What is answered closes nothing, whatever was tried on the way.
         if abs(shares["structural"]) > 1e-6:
             yield f"nothing is accepted, and the structural share is {shares['structural']:.3g}"
@@ -91,10 +91,9 @@ def _shares(record: dict[str, Any]) -> Iterator[str]:
     far = record["how_far"]
     if record["status"] not in CLOSES or record["settings"].get("refitted"):
         return
-    links = [e for e in record["parametric"] if not e["links"]]
-    total = sum(e["share"] for e in (*record["which"], *links))
+    total = sum(e["share"] for e in record["answer"]["causes"])
     total += sum(law["unnamed"] for law in record["friction"])
-    total += sum(e["share"] or 0.0 for e in record["suspects"])
+    total += sum(e["share"] or 0.0 for e in record["answer"]["suspects"])
     less = 1 - far["rms_after"] / far["rms_before"]
     if abs(total - less) > 1e-6:
         yield f"shares add up to {total:.4f} of an error that has lost {less:.4f}"
@@ -119,13 +118,13 @@ def _how_far(record: dict[str, Any], n: int) -> Iterator[str]:
 
 
 def _entry(entry: dict[str, Any], record: dict[str, Any], n: int) -> Iterator[str]:
-    name, alpha = entry["effect"], record["settings"]["alpha"]
+    name = entry["effect"]
     if FAMILIES.get(name) != entry["family"]:
         yield f"family '{entry['family']}' is not that of the effect"
     if not all(1 <= j <= n for j in entry["joints"]):
         yield "joints are not 1..n"
-    if not _number(entry["p_value"]) or not 0 <= entry["p_value"] <= alpha:
-        yield f"p is {entry['p_value']}, alpha {alpha:g}"
+    if not _number(entry["how_sure"]) or not 0.5 <= entry["how_sure"] <= 1:
+        yield f"named, and sure to {entry['how_sure']}"
     for coefficient, std in entry["std"].items():
         value = entry["parameters"][coefficient]
         # What the log does not determine is null.
@@ -232,25 +231,24 @@ SOUND: dict[str, Any] = {
     "where": {"joints": [{"joint": 1}, {"joint": 2}]},
     "which": [
         {"effect": "coulomb_friction", "family": "sign", "joints": [2], "ambiguous_with": [],
-         "parameters": {"Fc": -0.3, "smoothing": 0.0}, "std": {"Fc": 0.01}, "p_value": 1e-5,
+         "parameters": {"Fc": -0.3, "smoothing": 0.0}, "std": {"Fc": 0.01}, "how_sure": 0.99,
          "notes": [], "share": 0.5},
         {"effect": "payload", "family": "inertia", "joints": [2], "ambiguous_with": [],
          "parameters": dict(zip(BODY, (1, 0.1, 0, 0, 0.01, 0, 0, 0.02, 0, 0.02), strict=True)),
-         "std": {"m": 0.1}, "p_value": 1e-3, "notes": [], "share": 0.2},
+         "std": {"m": 0.1}, "how_sure": 0.99, "notes": [], "share": 0.2},
         {"effect": "thermal_friction_drift", "family": "time", "joints": [1],
          "ambiguous_with": [], "parameters": {"dFv": 0.1, "dFc": 0.0, "T": 20.0},
-         "std": {"dFv": 0.01, "dFc": 0.01}, "p_value": 1e-3, "notes": [], "share": -0.1},
+         "std": {"dFv": 0.01, "dFc": 0.01}, "how_sure": 0.99, "notes": [], "share": -0.1},
     ],
     "friction": [{"unnamed": 0.15}],
-    "suspects": [{"share": 0.05}, {"share": None}],
-    "parametric": [],
     "budget": {"parametric": 0.1, "structural": 0.8, "unexplained": 0.1},
     "how_far": {"closed": 0.9, "closed_ci95": [0.85, 0.95], "noise_floor_rms": [0.1, 0.2],
                 "rms_before": 2.0, "rms_after": 0.4,
                 "per_joint": [{"joint": 1}, {"joint": 2}]},
-    "settings": {"alpha": 0.01},
+    "settings": {},
     "corrected": {"effects": [{"effect": "coulomb_friction", "joint": 2, "Fc": 0.5}]},
 }  # fmt: skip
+SOUND["answer"] = {"causes": SOUND["which"], "suspects": [{"share": 0.05}, {"share": None}]}
 """As much of a record as the contract speaks of."""
 
 
@@ -276,7 +274,7 @@ def test_a_sound_record_keeps_it() -> None:
         (_set("status", "fine"), "is none of"),
         (_set("status", "no_gap"), "something is accepted"),
         (_set("status", "parametric_only"), "an effect is named"),
-        (_set("which", []), "nothing is accepted"),
+        (_set("answer", "causes", []), "nothing is accepted"),
         (_set("how_far", "closed", None), "closed is null"),
         (_set("how_far", "closed", 0.5), "lies outside"),
         (_set("how_far", "closed_ci95", None), "without an interval"),
@@ -284,9 +282,9 @@ def test_a_sound_record_keeps_it() -> None:
         (_set("budget", "structural", 0.5), "sums to 0.7"),
         (_set("budget", "structural", None), "no numbers"),
         (_set("budget", {"parametric": 0, "structural": 0, "unexplained": 0}), "all zero"),
-        (_set("suspects", 0, "share", 0.01), "shares add up to 0.7600"),
-        (_set("which", 0, "p_value", 0.02), "p is 0.02"),
-        (_set("which", 0, "p_value", None), "p is None"),
+        (_set("answer", "suspects", 0, "share", 0.01), "shares add up to 0.7600"),
+        (_set("which", 0, "how_sure", 0.4), "sure to 0.4"),
+        (_set("which", 0, "how_sure", None), "sure to None"),
         (_set("which", 0, "joints", [0]), "joints are not 1..n"),
         (_set("which", 0, "joints", [3]), "joints are not 1..n"),
         (_set("which", 0, "std", "Fc", 0.0), "+- 0.0"),

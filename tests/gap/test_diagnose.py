@@ -21,7 +21,9 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
+from torchid.report.brief import model_words
 from torchid.results.answer import Answer
+from torchid.results.cause import JudgedOn
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import Sensors, measured_log
@@ -125,12 +127,13 @@ def case(name: str) -> TorqueDiagnosis:
 
 def is_friction(found: TorqueDiagnosis) -> None:
     """Coulomb friction of joint 2 and nothing else, closed nearly all."""
-    assert [(f.effect.name, f.joints) for f in found.findings] == [("coulomb_friction", (1,))]
-    assert found.parametric == ()
-    (only,) = found.findings
-    assert abs(only.values[0] - FC) < max(3 * only.std[0], 0.005)
-    assert only.std[0] < 0.05 * FC
-    assert only.p_value < 0.01
+    assert [(f.effect, f.joints) for f in found.which] == [("coulomb_friction", (1,))]
+    (only,) = found.causes
+    (only,) = found.which
+    (size,) = only.sizes
+    assert abs(size.value - FC) < max(3 * size.std, 0.005)
+    assert size.std < 0.05 * FC
+    assert only.how_sure > 0.99
     assert found.how_far.closed > 0.9
     assert (
         found.how_far.closed_ci95[0] <= found.how_far.closed <= found.how_far.closed_ci95[1] + 1e-9
@@ -148,7 +151,7 @@ def test_the_least_worthwhile_size_is_the_users():
     for share, of_torque in ((0.05, 0.01), (0.0, 0.0)):
         settings = replace(searched, worthwhile=share, worthwhile_torque=of_torque)
         found = diagnose_torque(ROBOT, logged(small), settings=settings)
-        names.append([(f.effect.name, f.joints) for f in found.findings])
+        names.append([(f.effect, f.joints) for f in found.which])
     assert names == [[], [("coulomb_friction", (1,))]]
 
 
@@ -156,8 +159,8 @@ def test_the_least_worthwhile_size_is_the_users():
 def test_no_effect_no_gap():
     found = case("none")
     assert found.status == "no_gap"
-    assert found.findings == ()
-    assert found.parametric == ()
+    assert found.which == ()
+    assert found.causes == ()
     assert found.floor.source == "repeats"
     assert nominal_effects(found.corrected) == []
     truth = torch.full((3,), NOISE)
@@ -185,8 +188,8 @@ def test_all_of_the_gap_but_the_noise_is_closed():
 
 
 def test_the_largest_regime_is_on_the_joint_with_friction():
-    largest = max(case("coulomb").regimes, key=lambda r: r.excess, default=None)
-    assert largest is None or largest.joint == 1
+    clear = [r for r in case("coulomb").regimes if r.p < 0.05]
+    assert all(r.joint == 1 for r in clear)
 
 
 @pytest.mark.slow
@@ -197,7 +200,7 @@ def test_the_corrected_model_has_no_gap():
     assert values[0] == pytest.approx(FC, abs=0.02)
     again = case("again")
     assert again.status == "no_gap"
-    assert again.findings == ()
+    assert again.which == ()
     # The same log adds to what is known of the friction, and does not change it.
     ((effect, again_values),) = nominal_effects(again.corrected)
     assert effect.name == "coulomb_friction"
@@ -221,8 +224,7 @@ def test_coarse_encoders_are_no_gap():
 def test_wrong_parameters_are_no_effects():
     found = case("parameters")
     assert found.status == "parametric_only"
-    assert found.findings == ()
-    assert found.parametric
+    assert {c.effect for c in found.causes} == {"link_inertia"}
     assert found.budget.parametric > 0.9
     assert found.how_far.closed > 0.9
     assert nominal_effects(found.corrected) == []
@@ -241,9 +243,9 @@ def test_a_robot_without_parameters_is_fitted_first():
     found = case("unknown")
     assert any("fitted first" in w for w in found.warnings)
     assert found.robot.parameters is not None
-    assert [(f.effect.name, f.joints) for f in found.findings] == [("coulomb_friction", (1,))]
-    (only,) = found.findings
-    assert abs(only.values[0] - FC) < max(3 * only.std[0], 0.01)
+    assert [(f.effect, f.joints) for f in found.which] == [("coulomb_friction", (1,))]
+    (only,) = found.which
+    assert abs(only.parameters["Fc"] - FC) < max(3 * only.std["Fc"], 0.01)
     # There is no viscous friction: once Coulomb's is named, none is left beside it.
     left = {(e.name, e.joints[0]): v[0] for e, v in nominal_effects(found.corrected)}
     assert left["coulomb_friction", 1] == pytest.approx(FC, abs=0.02)
@@ -264,7 +266,7 @@ def test_one_run_is_cut_into_stretches_and_that_is_said():
         assert found.floor.source == "bracket"
         assert found.traces[0].valid.any()
     assert case("one quiet run").status == "no_gap"
-    assert case("one quiet run").findings == ()
+    assert case("one quiet run").which == ()
     assert not any("stretches" in w for w in case("coulomb").warnings)
 
 
@@ -282,12 +284,12 @@ def test_held_out_logs_are_not_fitted_and_a_cause_that_does_no_good_there_has_no
         ROBOT, logged(REAL, (0, 1, 0)), held_out=logged(ROBOT, (6,), 8), settings=QUICK
     )
     assert other.how_far.closed is None or other.how_far.closed < 0
-    assert not other.findings
+    assert not other.which
     assert other.status == "detected_unexplained"
-    (finding,) = case("held out").findings
-    assert finding.effect.name == "coulomb_friction"
+    (finding,) = case("held out").which
+    assert finding.effect == "coulomb_friction"
     assert all(s.how_sure < 0.5 for s in other.suspects)
-    assert finding.effect.name not in {s.effect for s in other.suspects}
+    assert finding.effect not in {s.effect for s in other.suspects}
 
 
 @pytest.mark.nightly
@@ -305,10 +307,10 @@ def test_an_effect_that_is_not_in_the_library_is_not_another_for_sure():
     within what is worth a name."""
     for name in ("not in the library", "no sign law"):
         found = case(name)
-        families = {f.effect.family for f in found.findings}
+        families = {f.family for f in found.which}
         friction = bool(families & {"sign", "hysteresis"})
         assert families <= {"sign", "hysteresis", "speed", "time"}
-        assert {j for f in found.findings for j in f.joints} <= {1}
+        assert {j for f in found.which for j in f.joints} <= {1}
         assert found.status == "detected_unexplained" or friction, name
 
 
@@ -360,7 +362,7 @@ def test_a_joint_that_never_moves_is_no_reason_to_stop():
     log = measured_log(REAL, synthetic_log(REAL, moved), [], Sensors(torque_std=NOISE))
     found = diagnose_torque(ROBOT, log, settings=QUICK)
     assert any("joint 1 never moves" in w for w in found.warnings)
-    assert [(f.effect.name, f.joints) for f in found.findings] == [("coulomb_friction", (1,))]
+    assert [(f.effect, f.joints) for f in found.which] == [("coulomb_friction", (1,))]
 
 
 KEYS = {
@@ -369,7 +371,8 @@ KEYS = {
     "where": {"joints", "regimes"},
     "joint": {"joint", "gap_rms", "noise_floor_rms", "share"},
     "regime": {"joint", "regime", "excess", "p"},
-    "which": {"effect", "family", "joints", "ambiguous_with", "parameters", "p_value"},
+    "which": {"effect", "family", "joints", "ambiguous_with", "parameters", "std",
+              "file", "how_sure", "share"},
     "how_far": {"rms_before", "rms_after", "noise_floor_rms", "closed", "closed_ci95",
                 "per_joint"},
     "per_joint": {"joint", "before", "after"},
@@ -385,7 +388,7 @@ STATUSES = {"no_gap", "parametric_only", "explained", "detected_unexplained", "n
 @pytest.mark.parametrize("name", marked(*CASES))
 def test_records_keep_the_contract(name):
     written = json.loads(json.dumps(case(name).plain(), allow_nan=False))
-    assert written["schema"] == "torchid.gap/1"
+    assert written["schema"] == "torchid.gap/2"
     assert written["status"] in STATUSES
     assert set(written) >= KEYS[""]
     assert set(written["where"]) == KEYS["where"]
@@ -406,7 +409,8 @@ def test_records_keep_the_contract(name):
     assert all(1 <= j <= 3 for entry in written["which"] for j in entry["joints"])
     assert all(FAMILIES[e["effect"]] == e["family"] for e in written["which"])
     low, high = written["how_far"]["noise_floor_rms"]
-    assert 0 < low <= high
+    assert low > 0
+    assert high is None or low <= high
     assert written["next_experiment"] is None or "do" in written["next_experiment"]
 
 
@@ -418,6 +422,28 @@ def test_an_answer_stands_before_the_search_is_over():
     assert first.causes == ()
     assert [(c.effect, c.joints) for c in last.causes] == [("coulomb_friction", (1,))]
     assert last.causes[0].sizes[0].value == pytest.approx(FC, rel=0.02)
-    assert first.after == pytest.approx(first.before)
-    assert first.before == pytest.approx(case("coulomb").answer.before, rel=0.1)
-    assert last.after < 0.1 * last.before
+    assert first.after.value == pytest.approx(first.before.value)
+    assert first.before.value == pytest.approx(case("coulomb").answer.before.value, rel=0.1)
+    assert last.after.value < 0.1 * last.before.value
+
+
+def test_an_answer_that_fails_on_held_out_data_says_so_first():
+    """The arm rubs three times as much there: the error falls, and stays far above that of the
+    motions that it was fitted on."""
+    rubs = {size: replace(ROBOT, effects=(FRICTION | {"Fc": size},)) for size in (FC, 3 * FC)}
+    log, apart = logged(rubs[FC], (0, 1, 2)), logged(rubs[3 * FC], (5,))
+    apart = apart.replace(names=("monday",))
+    found = diagnose_torque(ROBOT, log, held_out=apart, settings=QUICK)
+    answer = found.answer
+    assert (answer.after.on, answer.after.how) == (("monday",), "held out")
+    assert answer.left_out is not None
+    assert answer.left_out.on == tuple(log.names)
+    assert 2 * answer.left_out.value < answer.after.value < answer.before.value
+    said = f"The answer fails on monday: there it errs {answer.after.size}"
+    assert answer.headline.startswith(said)
+    assert found.which[0].judged == JudgedOn(on=("monday",), how="held out")
+    # What is used next is said with the same numbers.
+    assert model_words(answer, "c.yaml", "3r") == (
+        f"This log gives no model that is surely better: 3r errs {answer.before.size} on monday, "
+        f"corrected {answer.after.size}."
+    )

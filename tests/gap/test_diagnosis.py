@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from torchid.effects.motion import Motion
-from torchid.gap.diagnosis import TorqueOverTime, Trace, alien_joints, body_change
+from torchid.gap.diagnosis import TorqueOverTime, Trace, alien_joints
+from torchid.gap.told import body_change
 from torchid.robot.inertia import InertialParameters
 
 

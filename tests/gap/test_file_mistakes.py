@@ -27,10 +27,10 @@ def test_a_mistake_is_named(name, kind, link):
     friction = {"effect": "coulomb_friction", "joint": 2, "Fc": 1.0}
     log = simulate(robot, motion, effects=[friction])
     found = diagnose_torque(mistaken(robot, kind, link), log)
-    named = {(f.effect.name, f.located) for f in found.findings}
+    named = {(f.effect, f.at) for f in found.which}
     place = () if link == EVERY else (link,)
     assert named == {(NAMES[kind], place), ("coulomb_friction", (1,))}
-    assert all(f.how_sure > 0.9 for f in found.findings)
+    assert all(f.how_sure > 0.9 for f in found.which)
     truth = robot.require_parameters("a test").pi
     corrected = found.corrected.require_parameters("a test").pi
     assert float((corrected - truth).norm()) < 0.05 * float(truth.norm())

@@ -8,8 +8,8 @@ from torchid.design.columns import Model
 from torchid.design.segments import Samples
 from torchid.effects.friction import CoulombFriction, TorqueOffset
 from torchid.effects.registry import model_torque
+from torchid.gap.describe.traces import traces
 from torchid.gap.folds import GAP, make_folds
-from torchid.gap.validate.traces import traces
 from torchid.log.filtering import ZeroPhaseFilter
 
 CUTOFF, BAND = 8.0, 20.0

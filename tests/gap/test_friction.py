@@ -11,6 +11,7 @@ import pytest
 import torchid
 from tests.arms import single_axis
 from tests.marks import some
+from torchid.effects.registry import KINDS
 
 SETTINGS = torchid.GapSettings(
     effects=("viscous_friction", "coulomb_friction", "load_dependent_friction", "rotor_inertia"),
@@ -73,7 +74,7 @@ def test_details_that_take_each_others_place_are_one():
 def test_it_is_the_sum_of_its_terms():
     diagnosis = found()
     (law,) = diagnosis.friction
-    own = [f for f in diagnosis.which if f.branch == "friction"]
+    own = [f for f in diagnosis.which if KINDS[f.effect].branch == "friction"]
     assert len(own) == 2
     assert law.share == pytest.approx(sum(f.share for f in own))
     assert law.removes[0] == pytest.approx(sum(f.removes[0] for f in own))
@@ -98,7 +99,7 @@ def test_friction_of_the_model_that_the_log_confirms_is_no_finding():
     )
     diagnosis = torchid.diagnose(replace(single_axis(), effects=own), motor(), settings=SETTINGS)
     (law,) = diagnosis.friction
-    assert not diagnosis.which or all(f.branch != "friction" for f in diagnosis.which)
+    assert not diagnosis.which or all(KINDS[f.effect].branch != "friction" for f in diagnosis.which)
     assert law.how_sure is None
     assert {d.words for d in law.details} == {"dry", "viscous"}
     assert law.curve.torque == pytest.approx(law.curve.given)
@@ -108,7 +109,7 @@ def test_a_detail_of_the_model_stays_beside_one_that_changed():
     own = ({"effect": "viscous_friction", "joint": 1, "Fv": 0.002},)
     diagnosis = torchid.diagnose(replace(single_axis(), effects=own), motor(), settings=SETTINGS)
     (law,) = diagnosis.friction
-    assert [f.effect.name for f in diagnosis.findings if f.effect.branch == "friction"] == [
+    assert [f.effect for f in diagnosis.which if KINDS[f.effect].branch == "friction"] == [
         "coulomb_friction"
     ]
     details = {d.detail: d.how_sure for d in law.details}

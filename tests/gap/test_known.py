@@ -13,7 +13,6 @@ import torch
 import torchid
 from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
 from tests.marks import some
-from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
@@ -47,7 +46,7 @@ def first() -> TorqueDiagnosis:
 
 
 def names(found: TorqueDiagnosis) -> set[tuple[str, tuple[int, ...]]]:
-    return {(f.effect.name, f.located) for f in found.findings}
+    return {(f.effect, f.at) for f in found.which}
 
 
 def contradictions() -> ModuleType:
@@ -77,7 +76,7 @@ def test_a_first_session_is_known_afterwards() -> None:
 def test_nothing_changed_nothing_named() -> None:
     found = torchid.diagnose(first().corrected, log_of(TRUE, SECOND), settings=settings())
     assert names(found) == set()
-    assert found.parametric == ()
+    assert found.causes == found.which
     known, after = first().corrected.knowledge, found.corrected.knowledge
     assert known is not None
     assert after is not None
@@ -94,14 +93,16 @@ def test_a_known_coefficient_that_changed_is_told_with_before_and_after() -> Non
     worn = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=2.5), friction(3, Fc=0.2))
     found = torchid.diagnose(first().corrected, log_of(worn, SECOND), settings=settings())
     assert names(found) == {("viscous_friction", (1,))}
-    (change,) = found.findings[0].changed
-    assert change.name == "viscous_friction Fv2"
-    assert change.changed
-    assert change.before == pytest.approx(1.0, abs=0.05)
-    assert change.after == pytest.approx(2.5, abs=0.05)
+    (size,) = found.which[0].sizes
+    assert size.was == pytest.approx(1.0, abs=0.05)
+    assert size.value == pytest.approx(2.5, abs=0.05)
+    changed = [c for c in found.knowledge.coefficients if c.changed]
+    assert [(c.name, c.before, c.after) for c in changed] == [
+        ("viscous_friction Fv2", size.was, size.value)
+    ]
     # Of what has changed the new session alone tells.
     assert found.corrected.knowledge is not None
-    assert found.plain()["which"][0]["changed"][0]["name"] == change.name
+    assert found.plain()["which"][0]["file"] == {"Fv": size.was}
 
 
 def test_a_change_is_no_less_sure_than_what_was_known() -> None:
@@ -116,18 +117,18 @@ def test_a_change_is_no_less_sure_than_what_was_known() -> None:
     worn = arm(friction(1, Fv=0.8), friction(2, Fc=0.5), friction(2, Fv=2.5), friction(3, Fc=0.2))
     found = torchid.diagnose(open_one, log_of(worn, SECOND), settings=settings())
     assert names(found) == {("viscous_friction", (1,))}
-    (change,) = found.findings[0].changed
+    (change,) = (c for c in found.knowledge.coefficients if c.changed)
     assert change.before_std == pytest.approx(0.3, rel=0.05)
-    assert found.findings[0].std[0] < change.before_std
-    assert found.findings[0].how_sure > 0.9
+    assert found.which[0].std["Fv"] == change.after_std < change.before_std
+    assert found.which[0].how_sure > 0.9
 
 
 def test_a_load_is_told_beside_what_is_known() -> None:
     loaded = replace(carrying(0.8, (0.0, 0.0, 0.1), 0.002), effects=TRUE.effects)
     found = torchid.diagnose(first().corrected, log_of(loaded, SECOND), settings=settings())
-    told = {f.effect.name: f for f in found.findings}
+    told = {f.effect: f for f in found.which}
     assert set(told) == {"payload"}
-    mass, std = told["payload"].values[0], told["payload"].std[0]
+    mass, std = told["payload"].parameters["m"], told["payload"].std["m"]
     assert abs(mass - 0.8) < 3 * std + 0.02
 
 
@@ -141,7 +142,7 @@ def test_another_load_is_told_beside_one_that_the_model_has() -> None:
     found = torchid.diagnose(model.corrected, third, settings=settings())
     (cause,) = found.answer.causes  # which of the two it is, is anybody's guess
     assert {cause.effect, *cause.ambiguous_with} == {"payload", "link_inertia"}
-    assert found.answer.after < 0.06 < 0.1 * found.answer.before
+    assert found.answer.after.value < 0.06 < 0.1 * found.answer.before.value
     masses = [
         float(whole_arm(d.corrected).require_parameters("a test").mass[-1]) for d in (model, found)
     ]
@@ -220,14 +221,14 @@ def test_every_answer_is_written_read_run_again_and_agrees_with_itself(
     corrected = torchid.load_robot(tmp_path / "corrected.yaml")
     second = torchid.diagnose(corrected, log_of(true, SECOND), settings=wanted)
     assert check(second.plain()) == []
-    assert second.findings == ()
+    assert second.which == ()
 
 
 def test_a_small_cause_is_told_as_one() -> None:
     wanted = settings(worthwhile_torque=0.2)
     found = torchid.diagnose(ROBOT, log_of(CASES["small"][1], FIRST), settings=wanted)
     assert found.status == "negligible"
-    assert found.findings == ()
+    assert found.which == ()
     (small,) = found.small
     assert (small.effect, small.joints) == ("coulomb_friction", (1,))
     assert small.parameters["Fc"] == pytest.approx(0.05, abs=0.02)
@@ -267,16 +268,12 @@ def test_what_stands_still_and_is_pushed_is_a_contact(off: float, compliance: fl
     """Also where the arm yields, by up to 10 mrad: no spring is named for it."""
     robot, log = pushed(((10.0, 11.5), (25.0, 26.0)), 0, off=off, compliance=compliance)
     found = torchid.diagnose(robot, log)
-    assert [f.effect.name for f in found.findings] == ["contact", "contact"]
-    for f in found.findings:
-        assert f.values == pytest.approx((20.0, 10.0, -15.0), abs=0.5)
-    windows = sorted((_window(f.effect) for f in found.findings), key=min)
+    assert [f.effect for f in found.which] == ["contact", "contact"]
+    for f in found.which:
+        assert [s.value for s in f.sizes] == pytest.approx((20.0, 10.0, -15.0), abs=0.5)
+    windows = sorted((f.window.from_s, f.window.to_s) for f in found.which)
     assert windows[0] == pytest.approx((10.0, 11.5), abs=0.2)
     assert windows[1] == pytest.approx((25.0, 26.0), abs=0.2)
-
-
-def _window(effect: Effect) -> tuple[float, float]:
-    return effect.start, effect.stop  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.5])
@@ -295,4 +292,4 @@ def test_kinematics_are_not_told_of_base_parameters_alone() -> None:
     unknown = replace(ROBOT, parameters=None, effects=())
     wanted = replace(settings(), effects=(*FRICTION, "kinematic_error"))
     found = torchid.diagnose(unknown, log_of(TRUE, FIRST), settings=wanted)
-    assert "kinematic_error" not in {f.effect.name for f in found.findings}
+    assert "kinematic_error" not in {f.effect for f in found.which}

@@ -24,16 +24,16 @@ Q = 0.1 + 0.8 * np.sin(0.7 * T) + 0.4 * np.sin(1.9 * T)
 def test_a_curve_that_no_effect_is_is_one_cause():
     """A cable: a spring and a slow ripple are together near it, and no smooth curve is not."""
     found = diagnosed(3 * np.tanh(3 * (Q - 0.1)))
-    (law,) = found.findings
-    assert {law.effect.name, *law.ambiguous_with} == {"joint_spring", "cogging"}
+    (law,) = found.which
+    assert {law.effect, *law.ambiguous_with} == {"joint_spring", "cogging"}
     assert law.one_of_a_set
     assert law.how_sure > 0.9
     (cause,) = found.answer.causes
-    assert cause.closes == pytest.approx(found.how_far.less)
+    assert cause.share == pytest.approx(found.how_far.less)
     assert len(found.corrected.effects) > 1
 
 
 def test_a_spring_and_a_ripple_that_no_smooth_curve_holds_are_two():
     found = diagnosed(4 * Q + 0.5 * np.sin(12 * Q))
-    assert {f.effect.name for f in found.findings} == {"joint_spring", "cogging"}
-    assert all(f.how_sure > 0.9 and not f.ambiguous_with for f in found.findings)
+    assert {f.effect for f in found.which} == {"joint_spring", "cogging"}
+    assert all(f.how_sure > 0.9 and not f.ambiguous_with for f in found.which)

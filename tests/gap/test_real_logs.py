@@ -34,7 +34,7 @@ def test_a_pandas_wrist_slides_before_it_moves():
         read_log(FOLDER / "panda_gaz" / "log_exciting_traj1.parquet"),
         settings=GapSettings(background=FRICTION, held_out_fraction=0.4),
     )
-    assert ("presliding_hysteresis", (6,)) in [(f.effect.name, f.joints) for f in found.findings]
+    assert ("presliding_hysteresis", (6,)) in [(f.effect, f.joints) for f in found.which]
     assert float(found.how_far.rms_after[6]) < 0.6 * float(found.how_far.rms_before[6])
     assert any("no inertial parameters" in w for w in found.warnings)
 
@@ -52,8 +52,8 @@ def test_a_payload_is_named_and_weighed():
         load_robot(str(FOLDER / "ur10e" / "robot.urdf")), log("unloaded_dec23"), settings=settings
     )
     loaded = diagnose_torque(empty.corrected, log("loaded_2p6kg_jan13"), settings=few)
-    best = max(loaded.findings, key=lambda f: f.alone)
-    assert best.effect.name == "payload"
-    mass, std = best.values[0], best.std[0]
+    best = max(loaded.which, key=lambda f: f.alone)
+    assert best.effect == "payload"
+    mass, std = best.parameters["m"], best.std["m"]
     assert abs(mass / 2.6 - 1) < 0.1
     assert 0 < std < 0.2

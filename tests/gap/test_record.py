@@ -1,4 +1,4 @@
-"""The record is the contract torchid.gap/1: its keys, joints from 1, numbers or null."""
+"""The record is the contract torchid.gap/2: its keys, joints from 1, numbers or null."""
 
 import json
 import math
@@ -12,17 +12,19 @@ import torch
 import torchid
 from tests.arms import mixed_arm
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis, floor
+from torchid.design.columns import Model
 from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
-from torchid.gap.record import Parametric, RegimeGap, Status
+from torchid.gap.record import RegimeGap, Status
 from torchid.gap.settings import GapSettings
+from torchid.gap.told import told, told_bodies, valued
 from torchid.json_data import plain
 
 
 @pytest.mark.parametrize("status", get_args(Status))
 def test_keys_of_the_contract(status):
     data = json.loads(json.dumps(diagnosis(status).plain(), allow_nan=False))
-    assert data["schema"] == "torchid.gap/1"
+    assert data["schema"] == "torchid.gap/2"
     assert data["status"] == status
     assert set(data["where"]) == {"joints", "regimes"}
     for entry in data["where"]["joints"]:
@@ -30,9 +32,10 @@ def test_keys_of_the_contract(status):
     for entry in data["where"]["regimes"]:
         assert {"joint", "regime", "excess", "p"} <= set(entry)
     for entry in data["which"]:
-        keys = {"effect", "family", "joints", "ambiguous_with", "parameters", "p_value"}
-        assert keys <= set(entry)
-    far = {"rms_before", "rms_after", "noise_floor_rms", "closed", "closed_ci95", "per_joint"}
+        keys = {"effect", "family", "joints", "ambiguous_with", "parameters", "std", "file"}
+        assert keys | {"how_sure", "share"} <= set(entry)
+    far = {"rms_before", "rms_after", "on", "how", "noise_floor_rms", "per_joint"}
+    far |= {"closed", "closed_ci95"}
     assert far <= set(data["how_far"])
     assert [x["joint"] for x in data["how_far"]["per_joint"]] == [1, 2, 3]
     assert set(data["budget"]) == {"parametric", "structural", "unexplained"}
@@ -56,10 +59,10 @@ def test_settings_of_an_older_file_are_not_judged_again(tmp_path):
 
 
 def test_joints_count_from_one():
-    data = diagnosis(findings=(VISCOUS, FRICTION, OFFSET)).plain()
+    data = diagnosis(causes=(VISCOUS, FRICTION, OFFSET)).plain()
     assert [x["joint"] for x in data["where"]["joints"]] == [1, 2, 3]
     assert data["where"]["regimes"][0]["joint"] == 2
-    assert [x["joints"] for x in data["which"]] == [[1], [2], [3]]
+    assert [x["joints"] for x in data["which"]] == [[2], [1], [3]]  # the largest share first
     assert [x["joint"] for x in data["not_testable"]] == [1, 3]
 
 
@@ -67,7 +70,7 @@ def test_an_effect_can_be_read_back():
     d = diagnosis()
     entry = d.plain()["which"][0]
     written = {"effect": entry["effect"], "joint": entry["joints"][0], **entry["parameters"]}
-    assert effect_from_record(written, d.robot) == FRICTION.valued
+    assert effect_from_record(written, d.robot) == valued(FRICTION, d.robot)
     assert entry["std"] == {"Fc": 0.02}
     assert entry["unit"] == {"Fc": "N m"}
     assert entry["family"] == "sign"
@@ -76,8 +79,8 @@ def test_an_effect_can_be_read_back():
 
 
 def test_what_is_no_number_is_null():
-    d = diagnosis(findings=(OFFSET,))
-    d = replace(d, regimes=(RegimeGap(0, "low_speed", math.nan, (-math.inf, 0.1), 1.0),))
+    d = diagnosis(causes=(OFFSET,))
+    d = replace(d, regimes=(RegimeGap(0, "slow", math.nan, (-math.inf, 0.1), 1.0),))
     data = d.plain()
     assert data["which"][0]["std"] == {"F0": None}
     assert data["where"]["regimes"][0]["excess"] is None
@@ -85,13 +88,14 @@ def test_what_is_no_number_is_null():
 
 
 def test_inertial_parameters():
-    changed = (Parametric((2,), 0.5, 1e-4, ("payload",)), Parametric((), 0.3, 1e-3))
-    data = diagnosis(parametric=changed).plain()
-    link = data["which"][-1]
+    changed = (
+        told_bodies((2,), share=0.5, ambiguous_with=("payload",)), told_bodies((), share=0.3),
+    )  # fmt: skip
+    data = diagnosis(causes=changed).plain()
+    (link,) = data["which"]  # all base parameters are no effect of one link
     assert (link["effect"], link["family"], link["joints"]) == ("link_inertia", "inertia", [3])
     assert link["ambiguous_with"] == ["payload"]
-    assert [x["all_base_parameters"] for x in data["parametric"]] == [False, True]
-    assert len(data["which"]) == 2  # all base parameters are no effect of one link
+    assert [x["joints"] for x in data["answer"]["causes"]] == [[3], []]
 
 
 def test_rms_over_all_joints_is_the_root_of_the_sum_of_squares():
@@ -102,8 +106,9 @@ def test_rms_over_all_joints_is_the_root_of_the_sum_of_squares():
 
 def test_units_of_prismatic_joints():
     robot = mixed_arm("RPR")
-    slide = replace(VISCOUS, effect=ViscousFriction(1), joints=(1,))
-    entry = diagnosis(robot=robot, findings=(slide,)).plain()["which"][0]
+    given = Model(robot, ())
+    slide = told((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
+    entry = diagnosis(robot=robot, causes=(slide,)).plain()["which"][0]
     assert entry["unit"] == {"Fv": "N s/m"}
 
 

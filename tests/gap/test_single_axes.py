@@ -130,7 +130,7 @@ def test_a_loop_over_position_is_presliding_hysteresis():
     found = torchid.diagnose(single_axis("P", mass=5.0), looping())
     # What this loop has beside the library's form is of the size of other causes.
     assert found.answer.causes[0].effect == "presliding_hysteresis"
-    assert found.answer.causes[0].closes > 0.9
+    assert found.answer.causes[0].share > 0.9
     assert not found.doubt
 
 
@@ -183,7 +183,7 @@ def test_of_friction_that_was_driven_one_way_no_law_is_sure():
     found = torchid.diagnose(single_axis(inertia=0.03), log)
     (law,) = found.answer.causes
     assert {law.effect, *law.ambiguous_with} >= {"coulomb_friction", "viscous_friction"}
-    assert all(f.ambiguous_with or f.how_sure < 0.9 for f in found.findings)
+    assert all(f.ambiguous_with or f.how_sure < 0.9 for f in found.which)
 
 
 def spinning(inertia: float = 1.2e-3) -> torchid.Log:
@@ -259,7 +259,7 @@ def test_a_pendulum_whose_torque_is_smoothed_noise(kind):
     assert found.answer.causes == ()
     assert found.answer.headline.startswith("This torque does not follow the model at all.")
     assert found.warnings[0].startswith("Next time: check the log first")
-    assert all(answer.before > 0.5 for answer in heard)
+    assert all(answer.before.value > 0.5 for answer in heard)
 
 
 @pytest.mark.parametrize("again", [False, True])

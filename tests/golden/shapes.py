@@ -8,7 +8,12 @@ TYPES = {
 }  # fmt: skip
 
 FREE = (
-    "which[].parameters", "which[].std", "which[].unit", "model.effects[]", "corrected.effects[]",
+    *(
+        f"{causes}[].{name}"
+        for causes in ("which", "causes", "suspects", "small")
+        for name in ("parameters", "file", "std", "unit", "probabilities")
+    ),
+    "model.effects[]", "corrected.effects[]",
     "]effects[].parameters", "]effects[].std", "sets[].effects[]", "sets[].degrees",
     "sets[].margins", "links[].degrees", "phi_min_without", "named[].shapes", "named[].std",
     "named[].units", "named[].values", "confusion", "confusion.*", "confusion_outside",

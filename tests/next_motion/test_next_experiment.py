@@ -63,7 +63,7 @@ def test_what_a_log_could_not_show_is_found_after_the_designed_motion():
     asked = [sizes["viscous_friction", 2], sizes["torque_offset", 1]]
     planted = [(e.effect, list(e.values)) for e in asked]
     again = diagnosed(robot, driven_twice(robot, made.trajectory, planted))
-    named = {(f.effect.name, f.effect.joint): f.values[0] for f in again.findings}
+    named = {(f.effect, f.at[0]): f.sizes[0].value for f in again.which}
     assert set(named) == {("viscous_friction", 2), ("torque_offset", 1)}
     for effect, values in planted:
         assert named[effect.name, effect.joint] == pytest.approx(values[0], rel=0.2)

@@ -122,7 +122,7 @@ def test_servos_of_the_file_that_are_right_leave_no_gap(log: Log, tmp_path: Path
     found = torchid.diagnose(tmp_path / "corrected.yaml", log, force=True)
     assert found.status == "no_gap"
     assert found.answer.error == "the error of the file's servos"
-    assert found.answer.after < 2.0  # encoder counts of 1.5 mrad
+    assert found.answer.after.value < 2.0  # encoder counts of 1.5 mrad
     states = {c.parameter: c.state for c in found.changes if c.joint == 1}
     assert states["delay"] == "as known"
     assert "changed" not in states.values()

@@ -15,8 +15,10 @@ from torchid.position.problem import some_of, with_motions
 from torchid.position.record import Accuracy
 from torchid.position.replay import replay
 from torchid.position.servo_model import ServoModel
+from torchid.report.brief import model_words
 from torchid.report.position import remarks, where_table
 from torchid.results.files import load
+from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import Windows
 
 CAUSES = {
@@ -58,12 +60,41 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert again.plain() == result.plain()
     assert again.how_far.answered.whole_mrad < again.how_far.commanded.whole_mrad
     assert where_table(result.record)
-    assert f"Held-out logs: {result.held_out[0]:.1f} mrad" in " ".join(remarks(result.record))
+    before, after = result.held_out
+    assert f"Held-out logs: {after.whole_mrad:.1f} mrad" in " ".join(remarks(result.record))
+    said = result.answer
+    assert (said.before.value, said.after.value) == (before.whole_mrad, after.whole_mrad)
+    assert said.after.on == (log.names[0],)
+    assert said.after.how == "held out"
+    assert said.left_out.value == result.answered.whole_mrad
     assert [len(found.plot("where").axes) for found in (result, again)] == [3, 3]
     # Its model, moved by the commands, goes where the arm went.
     moved = replay(result.corrected, log)
     assert float(moved.error.mean()) < 0.5 * again.how_far.commanded.whole_mrad
     assert len(moved.plot("positions").axes) == 3
+
+
+def test_servos_that_fail_on_a_held_out_motion_say_so_first():
+    """There the gains are a third: what was found is worth next to nothing, and all that is said of
+    how far the error shrinks is of that motion."""
+    servos = true_servos(3, dead_zone=(2, 0.02))
+    log = planted(servos, motions=3, seconds=8.0, seed=4)
+    weak = replace(servos, joint=servos.joint.clone())
+    weak.joint[:, INDEX["kp"]] *= 0.3
+    apart = planted(weak, motions=1, seconds=8.0, seed=9).replace(names=("monday",))
+    found = diagnose_positions(robot(), log, held_out=apart)
+    answer = found.answer
+    assert [c.effect for c in answer.causes][:1] == ["dead_zone"]
+    assert (answer.after.on, answer.after.how) == (("monday",), "held out")
+    assert answer.left_out.value == found.answered.whole_mrad < 0.1 * answer.after.value
+    said = f"The answer fails on monday: there it errs {answer.after.size}, plain servo "
+    assert answer.headline.startswith(said)
+    assert answer.closed < 0.1
+    assert answer.closed_ci95 is None
+    assert found.status != "explained"
+    assert answer.title == "RMS error [mrad] on monday, held out"
+    assert model_words(answer, "m.yaml", "arm.urdf").startswith("This log gives no model that is")
+    assert [j.after for j in answer.joints] == found.held_out[1].whole.tolist()
 
 
 @pytest.mark.nightly

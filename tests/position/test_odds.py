@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from torchid.position.odds import alike_rises, effect_sure
-from torchid.results.replication import MotionScale, replication_of
+from torchid.results.agreement import MotionScale
+from torchid.results.replication import replication_of
 from torchid.statistics.bagging import Draws
 
 

@@ -11,10 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from tests.causes import errors, numbers
 from torchid.effects.registry import KINDS
 from torchid.report.brief import MOST_LINES, Screen, bar, model_words, short_label
 from torchid.report.page.answer import first_steps
-from torchid.results.answer import Answer, Cause, JointError, Size
+from torchid.results.answer import Answer, JointError
+from torchid.results.cause import Cause, Size
 from torchid.results.friction import FrictionAt, FrictionDetail, FrictionLaw
 
 WARNINGS = (
@@ -27,7 +29,7 @@ WARNINGS = (
 
 def cause(name: str, joint: int, **about: object) -> Cause:
     size = Size(name="c", unit="N m", value=1.5, std=0.1)
-    return Cause(effect=name, joints=(joint,), sizes=(size,), how_sure=0.9, closes=0.1,
+    return Cause(effect=name, joints=(joint,), how_sure=0.9, share=0.1, **numbers(size),
                  remedy="Set it in the simulator, or clean the joint.", **about)  # fmt: skip
 
 
@@ -36,7 +38,8 @@ def answer(n: int, causes: tuple[Cause, ...], **about: object) -> Answer:
         JointError(joint=j, name=f"arm_{j}_joint", before=9.0, after=8.0 - j / 4, noise=(0.1, 0.2))
         for j in range(n)
     )
-    return Answer(status="explained", error="the gap", unit="N m", before=20.0, after=9.0,
+    judged = {"on": ("run9",), "how": "held out"}
+    return Answer(status="explained", error="the gap", unit="N m", **errors(20.0, 9.0, **judged),
                   noise=(0.1, 0.2), closed=0.5, joints=joints, causes=causes, **about)  # fmt: skip
 
 
@@ -71,7 +74,7 @@ def test_a_screen_is_a_screen(names: list[str], n: int, width: int, hints: bool)
     suspects = tuple(cause("backlash", j) for j in range(n)) if hints else ()
     laws = tuple(map(law, range(n))) if hints else ()
     given_answer = answer(n, causes[:60], suspects=suspects, friction=laws)
-    model = model_words(given_answer, "corrected.yaml", "robot.urdf", ["run9"])
+    model = model_words(given_answer, "corrected.yaml", "robot.urdf")
     lines = lines_of(Screen(answer=given_answer, band=20.0, warnings=WARNINGS, model=model), width)
     shared = len(given_answer.shared())
     assert len(lines) <= MOST_LINES + 3 * max(0, shared - 3)
@@ -104,7 +107,7 @@ def test_what_all_joints_share_is_one_line_with_a_value_a_joint() -> None:
 def test_a_cause_of_a_hundredth_of_the_error_is_no_step_however_sure() -> None:
     """It is listed at its joint. A single cause is a step however small."""
     large, little = cause("backlash", 0), cause("end_stop", 1)
-    little = msgspec.structs.replace(little, closes=0.01, how_sure=0.999, remedy="Move the stop.")
+    little = msgspec.structs.replace(little, share=0.01, how_sure=0.999, remedy="Move the stop.")
     assert [s.split(",")[0] for s in first_steps(answer(2, (little, large)))] == ["backlash"]
     assert [s.split(",")[0] for s in first_steps(answer(2, (little,)))] == ["end stop"]
 
@@ -120,16 +123,16 @@ def test_cautions_are_merged() -> None:
 
 def test_which_model_to_use() -> None:
     some = answer(2, (cause("backlash", 0),))
-    assert model_words(some, "c.yaml", "r.urdf", ["run9"]) == (
+    assert model_words(some, "c.yaml", "r.urdf") == (
         "Use c.yaml: it errs 9 N m on run9, as given 20. Export: torchid export c.yaml --to urdf "
         "--out DIR"
     )
-    assert "--save-model" in model_words(some, None, "r.urdf", [])
+    assert "--save-model" in model_words(some, None, "r.urdf")
     # An error without a sure cause is no reason to use a file as it is.
     unsure = msgspec.structs.replace(answer(2, ()), status="detected_unexplained")
-    assert model_words(unsure, None, "r.urdf", []) == (
-        "This log gives no model that is surely better: r.urdf errs 20 N m, and no cause of it is "
-        "sure."
+    assert model_words(unsure, None, "r.urdf") == (
+        "This log gives no model that is surely better: r.urdf errs 20 N m on run9, and no "
+        "cause of it is sure."
     )
 
 
@@ -147,7 +150,7 @@ def test_a_file_is_used_as_it_is_where_its_error_is_noise(status, noise, measure
     right = msgspec.structs.replace(
         answer(2, ()), status=status, noise=noise, noise_measured=measured
     )
-    assert model_words(right, None, "r.urdf", []).endswith(said)
+    assert model_words(right, None, "r.urdf").endswith(said)
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,19 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, some_left, trace
 from tests.marks import quick_first
 from tests.report.page.reading import headings, parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
-from torchid.gap.record import Budget, Parametric, Status
+from torchid.gap.record import Budget, Status
+from torchid.gap.told import told_bodies
 from torchid.report.diagnosis import STATUS, page, which_model
 from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
-from torchid.results.replication import MotionScale, replication_of
+from torchid.results.agreement import MotionScale
+from torchid.results.replication import replication_of
 from torchid.results.words import effect_words
 
 FILES = (InputFile("log", "run <1>.csv", 1234567, "ab" * 32),)
@@ -81,7 +84,9 @@ def test_one_screen_then_sections_that_fold(undrawn):
 
 
 def test_numbers_are_those_of_the_json(undrawn):
-    d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
+    d = diagnosis(
+        causes=(FRICTION, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
+    )
     tree, data = page_of(d), d.plain()
     rows = rows_of(tree, "causes of the error (value ± std)")
     assert len(rows) == len(data["which"]) == 4
@@ -102,7 +107,9 @@ def test_numbers_are_those_of_the_json(undrawn):
 
 def test_the_answer_has_a_bar_a_joint_the_largest_error_first(undrawn):
     """With what stands below it: one number for one thing."""
-    d = diagnosis(findings=(FRICTION, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),))
+    d = diagnosis(
+        causes=(FRICTION, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
+    )
     rows = page_of(d).xpath("//div[contains(@class, 'bars')]//tbody/tr")
     per_joint = {str(j["joint"]): j for j in d.plain()["how_far"]["per_joint"]}
     longest = max(j["before"] for j in per_joint.values())
@@ -133,7 +140,7 @@ def test_captions_say_where(undrawn):
     captions = {f.get("id"): f.xpath("./figcaption")[0].text_content()
                 for f in page_of(diagnosis()).iter("figure")}  # fmt: skip
     assert (
-        "Joint 2 holds 98 % of the error, above all in the columns velocity reversal and low"
+        "Joint 2 holds 98 % of the error, above all in the columns reversal and slow"
         in (captions["where"])
     )
     assert captions["robot"].startswith("Figure 1. The robot in a pose of this log.")
@@ -143,7 +150,7 @@ def test_captions_say_where(undrawn):
 
 def test_what_holds_nothing_is_not_drawn(undrawn):
     far = HowFar(*(2 * [diagnosis().how_far.rms_after]), None, None)
-    d = diagnosis("no_gap", traces=(), budget=Budget(0, 0, 0), how_far=far, regimes=(), findings=())
+    d = diagnosis("no_gap", traces=(), budget=Budget(0, 0, 0), how_far=far, regimes=(), causes=())
     tree = page_of(d)
     assert not list(tree.iter("figure"))
     assert "Where the error lies" not in headings(tree)
@@ -207,7 +214,7 @@ def test_which_model_to_use():
     said = which_model(diagnosis())
     assert "--save-model" in said
     assert "torchid correct" in said
-    assert "as given" in which_model(diagnosis("no_gap", findings=()))
+    assert "as given" in which_model(diagnosis("no_gap", causes=()))
 
 
 @pytest.mark.slow
@@ -260,7 +267,7 @@ def test_of_the_library_there_is_no_command(undrawn):
 def test_the_agreement_of_several_runs_is_a_section_that_folds(runs, undrawn):
     scales = [MotionScale(f"run{k}", 0.0, 8.0, x, 0.02) for k, x in enumerate((0.9, 0.9, 1.4), 1)]
     again = replication_of([*scales[:runs], *scales[:runs]])
-    d = diagnosis(findings=(replace(FRICTION, replication=again),), **SHORT)
+    d = diagnosis(causes=(structs.replace(FRICTION, replication=again),), **SHORT)
     tree = page_of(d)
     title = "Whether the runs agree"
     assert (title in headings(tree)) == (runs > 1)

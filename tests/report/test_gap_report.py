@@ -6,17 +6,22 @@ from typing import get_args
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from rich.console import Console
 
 from tests.arms import mixed_arm
-from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
+from tests.causes import errors, numbers
+from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, cause, diagnosis
+from torchid.design.columns import Model
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import HowFar
-from torchid.gap.record import Parametric, Status
+from torchid.gap.record import Status
+from torchid.gap.told import told, told_bodies
 from torchid.report import gap
 from torchid.report.diagnosis import report_of_diagnosis
-from torchid.results.answer import COLUMNS, Answer, Cause, JointError, NotTestable, Size, named_size
+from torchid.results.answer import COLUMNS, Answer, JointError, NotTestable
+from torchid.results.cause import Cause, Size
 from torchid.results.words import effect_words, listed, measure, percent
 
 
@@ -36,11 +41,12 @@ def lines_of(screen, width: int) -> list[str]:
 SENTENCES = {
     "no_gap": "No gap that this log can tell from noise: 0.105 N m (noise 0.0693 to unknown). "
     "2 effects could not have been seen in it.",
-    "parametric_only": "Inertia of link 3 lowers the gap: 0.617 -> 0.105 N m, 83 % less.",
+    "parametric_only": "Inertia of link 3 lowers the gap: 0.617 -> 0.105 N m on motions left out, "
+    "83 % less.",
     "explained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) lowers the gap: "
-    "0.617 -> 0.105 N m, 83 % less.",
+    "0.617 -> 0.105 N m on motions left out, 83 % less.",
     "detected_unexplained": "Coulomb friction on joint 2 (0.61 ± 0.02 N m) lowers the gap: "
-    "0.617 -> 0.105 N m, 83 % less. The rest has no known cause.",
+    "0.617 -> 0.105 N m on motions left out, 83 % less. The rest has no known cause.",
     "not_testable": "This log cannot show what causes a gap: exactly a sum of base parameters.",
 }
 
@@ -54,21 +60,23 @@ def test_causes_that_close_nothing_are_not_confirmed():
     d = diagnosis("detected_unexplained")
     far = replace(d.how_far, rms_after=d.how_far.rms_before, closed=0.0, closed_ci95=(-0.1, 0.1))
     said = replace(d, how_far=far).answer.headline
-    assert said.startswith("Coulomb friction on joint 2 (0.61 ± 0.02 N m) fits the gap; on new")
+    assert said.startswith("Coulomb friction on joint 2 (0.61 ± 0.02 N m) fits the gap: ")
     assert said.endswith("Nothing is confirmed.")
 
 
 def test_headline_of_several_effects_names_the_two_that_close_most():
-    d = diagnosis(findings=(VISCOUS, FRICTION, OFFSET), parametric=(Parametric((), 0.1, 0.01),))
+    d = diagnosis(
+        causes=(VISCOUS, FRICTION, OFFSET, told_bodies((), share=0.1)),
+    )
     assert d.answer.headline == (
         "Coulomb friction on joint 2 (0.61 ± 0.02 N m), inertial parameters and 2 more lower "
-        "the gap: 0.617 -> 0.105 N m, 83 % less."
+        "the gap: 0.617 -> 0.105 N m on motions left out, 83 % less."
     )
 
 
 def test_headline_of_one_effect_on_two_joints():
-    other = replace(FRICTION, effect=CoulombFriction(2), joints=(2,), values=(0.3,))
-    answer = diagnosis(findings=(FRICTION, other)).answer
+    other = cause(CoulombFriction(2), 0.3, 0.02, how_sure=0.999, share=0.9)
+    answer = diagnosis(causes=(FRICTION, other)).answer
     assert answer.headline.startswith("Coulomb friction on joints 2 and 3 lowers the gap")
     assert ("joints 2 and 3", "Coulomb friction Fc = 0.61, 0.3 N m") in [
         (row[0], row[4]) for row in answer.rows()
@@ -76,7 +84,7 @@ def test_headline_of_one_effect_on_two_joints():
 
 
 def test_headline_says_where_an_unexplained_gap_lies():
-    said = diagnosis("detected_unexplained", findings=()).answer.headline
+    said = diagnosis("detected_unexplained", causes=()).answer.headline
     assert said.startswith(
         "No known effect explains the gap of 0.617 N m (noise 0.0693 to unknown)."
     )
@@ -86,7 +94,10 @@ def test_headline_says_where_an_unexplained_gap_lies():
 def test_headline_without_a_closed_fraction():
     d = diagnosis()
     far = HowFar(d.how_far.rms_before, d.how_far.rms_after, None, None)
-    assert "on new data: 0.617 -> 0.105 N m" in replace(d, how_far=far).answer.headline
+    assert (
+        "fits the gap: 0.617 -> 0.105 N m on motions left out."
+        in replace(d, how_far=far).answer.headline
+    )
 
 
 @given(
@@ -101,10 +112,10 @@ def test_a_headline_is_two_lines_and_a_row_has_all_cells(names, joints, status, 
         Cause(
             effect=name,
             joints=(j,),
-            sizes=(Size(name="c", unit="N m", value=1.0, std=0.1),),
+            **numbers(Size(name="c", unit="N m", value=1.0, std=0.1)),
             how_sure=0.9,
             ambiguous_with=("time_delay", "backlash"),
-            closes=0.1,
+            share=0.1,
             remedy="Do it, as follows.",
         )
         for name in names
@@ -115,7 +126,7 @@ def test_a_headline_is_two_lines_and_a_row_has_all_cells(names, joints, status, 
         for j in range(7)
     )
     answer = Answer(
-        status=status, error="the gap", unit="N m", before=5.0, after=1.0, noise=(0.1, 0.2),
+        status=status, error="the gap", unit="N m", **errors(5.0, 1.0), noise=(0.1, 0.2),
         closed=closed, joints=rows, causes=causes,
     )  # fmt: skip
     assert len(answer.headline) <= 160
@@ -129,11 +140,13 @@ def test_a_headline_is_two_lines_and_a_row_has_all_cells(names, joints, status, 
 
 def test_tables_hold_the_numbers():
     text = text_of(
-        diagnosis(findings=(VISCOUS, FRICTION), parametric=(Parametric((2,), 0.1, 0.01),))
+        diagnosis(
+            causes=(VISCOUS, FRICTION, told_bodies((2,), share=0.1)),
+        )
     )
     for part in (
-        "velocity reversal 64 % [55, 71]",
-        "transient 40 % [10, 60] at 12.2 s of run1; 1.0 s of run2",
+        "reversal 64 % [55, 71]",
+        "rest 40 % [10, 60]",
         "Fc = 0.61 ± 0.02 N m",
         "Fv = 0.20 ± 0.10 N m s/rad",
         "power law friction",
@@ -159,7 +172,7 @@ def test_tables_hold_the_numbers():
 def test_one_screen_says_it_all(width):
     """Joint, error before and after with its unit, cause, value, how sure, and what to do."""
     lines = lines_of(
-        report_of_diagnosis(diagnosis(findings=(VISCOUS, FRICTION, OFFSET))).screen, width
+        report_of_diagnosis(diagnosis(causes=(VISCOUS, FRICTION, OFFSET))).screen, width
     )
     worst = next(k for k, line in enumerate(lines) if line.split()[:1] == ["2"])
     row = " ".join(" ".join(lines[worst : worst + 2]).split())
@@ -208,7 +221,7 @@ def test_remarks_say_where_the_noise_is_from():
 
 def test_remarks_say_what_stands_at_the_end_of_its_range():
     note = "a is at the end of its range: what lies beyond was not looked at"
-    d = diagnosis(findings=(replace(FRICTION, notes=(note,)),))
+    d = diagnosis(causes=(structs.replace(FRICTION, notes=(note,)),))
     assert f"Coulomb friction on joint 2: {note}." in gap.remarks(d.record)
 
 
@@ -229,9 +242,9 @@ def test_measure(value, std, expected):
 
 
 def test_units_of_prismatic_joints():
-    slide = replace(VISCOUS, effect=ViscousFriction(1), joints=(1,))
-    (size,) = slide.record(mixed_arm("RPR")).cause.sizes
-    assert named_size(size) == "Fv = 0.20 ± 0.10 N s/m"
+    given = Model(mixed_arm("RPR"), ())
+    slide = told((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
+    assert slide.sizes[0].named == "Fv = 0.20 ± 0.10 N s/m"
 
 
 @pytest.mark.parametrize(

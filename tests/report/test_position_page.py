@@ -14,7 +14,8 @@ from torchid.report.diagnosis import figures, page, report_of_diagnosis
 from torchid.report.over_time import Run, motion_over_time
 from torchid.report.page.document import origin, render
 from torchid.report.position import nominal_table, remarks, where_table, worst_joints
-from torchid.results.replication import MotionScale, replication_of
+from torchid.results.agreement import MotionScale
+from torchid.results.replication import replication_of
 
 PROFILE = finding("set_point_profile", 2, 14.0, 6.5, acceleration=39.0)
 PLANE = finding("plane_contact", None, 8.0, 6.0)

@@ -44,9 +44,7 @@ def rgb(colour: str):
 @pytest.mark.parametrize("name", ["3r", "panda", "kuka_lwr4"])
 def test_labels_are_apart_and_inside(name):
     robot = load_robot(name)
-    causes = tuple(
-        Cause(effect="coulomb_friction", joints=(j,), closes=0.1) for j in range(robot.n)
-    )
+    causes = tuple(Cause(effect="coulomb_friction", joints=(j,), share=0.1) for j in range(robot.n))
     q = torch.linspace(-1, 1, 30, dtype=torch.float64)[:, None].expand(30, robot.n)
     figure = skeleton_figure(robot, answer(robot.n, causes), q)
     figure.canvas.draw()

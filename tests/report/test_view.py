@@ -9,7 +9,7 @@ import torch
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.excitation.synthetic import simulate
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.localise.regimes import regime_instants
+from torchid.gap.describe.where import regime_instants
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.report.view import joint_views, require_viewer, write_view
@@ -74,7 +74,7 @@ def test_regimes_are_where_the_motion_says(found):
     speed = torch.cat([t.motion.dq[t.valid] for t in found.traces]).abs()
     low = 0.15 * speed.quantile(0.99, 0)
     for trace, regimes in zip(found.traces, regime_instants(found.traces, found.band), strict=True):
-        mask = regimes["low_speed"]
+        mask = regimes["slow"]
         assert not bool(mask[~trace.valid][0].any())
         own = trace.motion.dq.abs() < low
         assert float((mask == own)[trace.valid].double().mean()) > 0.97

@@ -2,26 +2,28 @@
 
 import math
 
+import msgspec
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from torchid.results.agreement import agreement, by_cause, disagreement
-from torchid.results.answer import Cause, Size
-from torchid.results.replication import MotionScale, agreement_of, of_few_runs, replication_of
+from tests.causes import numbers
+from torchid.results.agreement import MotionScale, agreement, by_cause, disagreement
+from torchid.results.cause import Cause, Size
+from torchid.results.replication import agreement_of, of_few_runs, replication_of
 
 FRICTION = Cause(
     effect="coulomb_friction",
     joints=(1,),
-    sizes=(Size(name="Fc", unit="N m", value=0.5, std=0.02),),
+    **numbers(Size(name="Fc", unit="N m", value=0.5, std=0.02)),
 )
 STEPS = st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=6)
 
 
 def runs_of(*factors: float, std: float = 0.02, cause: Cause = FRICTION):
     scales = [MotionScale(f"run{k}", 0.0, 8.0, x, std) for k, x in enumerate(factors, start=1)]
-    return cause, replication_of(scales)
+    return msgspec.structs.replace(cause, replication=replication_of(scales))
 
 
 def odd_of(rows) -> list[str]:
@@ -65,7 +67,7 @@ def test_values_are_those_of_the_runs_alone_and_the_mean_has_their_spread():
 
 def test_what_the_model_knew_is_part_of_the_value():
     known = Size(name="Fc", unit="N m", value=0.5, std=0.02, was=0.3)
-    cause = Cause(effect="coulomb_friction", joints=(1,), sizes=(known,))
+    cause = Cause(effect="coulomb_friction", joints=(1,), **numbers(known))
     rows = agreement_of([runs_of(1.0, 0.0, cause=cause)])
     assert [r.value for r in rows] == pytest.approx([0.5, 0.3])
     assert [r.wanted for r in rows] == [True, False]
@@ -90,7 +92,7 @@ def test_where_no_most_of_the_runs_agree_all_differ():
 def test_a_run_that_can_not_tell_has_no_value():
     scales = [MotionScale(f"run{k}", 0.0, 8.0, x, s) for k, (x, s) in
               enumerate([(1.0, 0.02), (1.0, 0.02), (4.0, 0.6)], start=1)]  # fmt: skip
-    rows = agreement_of([(FRICTION, replication_of(scales))])
+    rows = agreement_of([msgspec.structs.replace(FRICTION, replication=replication_of(scales))])
     last = rows[2]
     assert (last.verdict, last.wanted) == ("cannot tell", None)
     assert math.isnan(last.value)
@@ -102,11 +104,11 @@ def test_nothing_is_said_of_one_run_or_of_what_has_no_size():
     parts = [MotionScale("run1", 10.0 * k, 10.0 * k + 10, x, 0.02) for k, x in enumerate((1, 3))]
     same = Size(name="Fc", unit="N m", value=0.5, std=0.02, was=0.5)
     bare = Cause(effect="link_inertia", joints=(1,))
-    unchanged = Cause(effect="coulomb_friction", joints=(2,), sizes=(same,))
+    unchanged = Cause(effect="coulomb_friction", joints=(2,), **numbers(same))
     rows = agreement_of(
         [
-            (FRICTION, replication_of(parts)),
-            (FRICTION, None),
+            msgspec.structs.replace(FRICTION, replication=replication_of(parts)),
+            FRICTION,
             runs_of(1, 3, cause=bare),
             runs_of(1, 3, cause=unchanged),
         ]
@@ -119,7 +121,7 @@ def test_sentences():
     offset = Cause(
         effect="torque_offset",
         joints=(0,),
-        sizes=(Size(name="F0", unit="N m", value=0.2, std=0.01),),
+        **numbers(Size(name="F0", unit="N m", value=0.2, std=0.01)),
     )
     rows = agreement_of([runs_of(0.9, 0.9, 1.4), runs_of(1.5, 1.5, 0.0, cause=offset)])
     assert len(by_cause(rows)) == 2

@@ -6,7 +6,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from torchid.results.answer import Answer, Cause, JointError, Size, cause_cells
+from tests.causes import errors, numbers
+from torchid.results.answer import Answer, JointError, cause_cells
+from torchid.results.cause import Cause, Size
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "answers"
 
@@ -18,21 +20,22 @@ ANSWERS = {name: stored["answer"] for name, stored in STORED.items() if stored.g
 @pytest.mark.parametrize("answer", ANSWERS.values(), ids=ANSWERS)
 def test_no_share_is_above_what_the_errors_say(answer):
     """By more than the noise that is taken out of both: where repeats measured it, at most that."""
-    before, after, (low, high) = answer["before"], answer["after"], answer["noise"]
+    before, after = (answer[key]["value"] for key in ("before", "after"))
+    low, high = answer["noise"]
     noise = min(high if answer.get("noise_measured") else low, after)
     left = ((after**2 - noise**2) / (before**2 - noise**2)) ** 0.5 if before > noise else 0.0
     if answer["closed"] is not None:
         assert answer["closed"] <= 1 - left + 1e-9
     if answer["unit"] != "mrad":  # of positions each cause is judged on its own joint
-        assert sum(c["closes"] for c in answer["causes"]) <= 1 - after / before + 1e-9
+        assert sum(c["share"] for c in answer["causes"]) <= 1 - after / before + 1e-9
 
 
 def answer(**other):
     joints = (JointError(joint=0, name="j", before=10.0, after=8.0, noise=(0.1, 8.0)),)
-    cause = Cause(effect="torque_offset", joints=(0,), closes=0.2)
+    cause = Cause(effect="torque_offset", joints=(0,), share=0.2)
     return Answer(
         **{
-            "status": "explained", "error": "the gap", "unit": "N m", "before": 10.0, "after": 8.0,
+            "status": "explained", "error": "the gap", "unit": "N m", **errors(10.0, 8.0),
             "noise": (0.1, 8.0), "closed": 1.0, "joints": joints, "causes": (cause,), **other,
         }
     )  # fmt: skip
@@ -41,7 +44,7 @@ def answer(**other):
 @pytest.mark.parametrize("measured", [False, True])
 def test_all_of_an_error_needs_a_measured_noise(measured):
     said = answer(noise_measured=measured).headline
-    assert "10 -> 8 N m, 20 % less" in said
+    assert "10 -> 8 N m on motions left out, 20 % less" in said
     assert ("to the noise" in said) == measured
     assert " all" not in said
 
@@ -50,7 +53,7 @@ def test_all_of_an_error_needs_a_measured_noise(measured):
 def test_a_headline_without_a_cause_says_the_likeliest(status):
     suspect = Cause(
         effect="viscous_friction", joints=(2,), how_sure=0.82, remedy="move faster",
-        sizes=(Size(name="Fv", unit="N m s/rad", value=5.6, std=0.7),),
+        **numbers(Size(name="Fv", unit="N m s/rad", value=5.6, std=0.7)),
     )  # fmt: skip
     said = answer(status=status, causes=(), suspects=(suspect,), closed=None).headline
     likely = "Most likely: viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)."
@@ -63,9 +66,9 @@ def test_a_headline_without_a_cause_says_the_likeliest(status):
 def test_rivals_of_one_joint_are_no_rivals_of_others():
     causes = [
         Cause(
-            effect="torque_gain", joints=(j,), closes=0.1, how_sure=0.99 - 0.4 * (j == 2),
+            effect="torque_gain", joints=(j,), share=0.1, how_sure=0.99 - 0.4 * (j == 2),
             ambiguous_with=("filter_lag",) if j == 2 else (),
-            sizes=(Size(name="gain", unit="1", value=0.3, std=0.01),),
+            **numbers(Size(name="gain", unit="1", value=0.3, std=0.01)),
         )
         for j in range(3)
     ]  # fmt: skip
@@ -86,7 +89,7 @@ def spring(joint: int, k: float, c0: float) -> Cause:
         Size(name="c0", unit="N m", value=c0, std=0.4), Size(name="k", unit="N m/rad", value=k),
     )  # fmt: skip
     return Cause(
-        effect="joint_spring", joints=(joint,), sizes=sizes, how_sure=0.97, closes=abs(c0) / 20
+        effect="joint_spring", joints=(joint,), how_sure=0.97, share=abs(c0) / 20, **numbers(*sizes)
     )
 
 
@@ -102,7 +105,7 @@ def test_short_of_room_a_cause_shows_what_makes_its_torque():
 def test_a_number_that_joints_share_a_row_for_is_one_number():
     """That of the largest cause; a cause whose own largest is another shows it as well."""
     small = spring(0, k=2.0, c0=0.5)
-    small = msgspec.structs.replace(small, sizes=small.sizes[::-1])
+    small = msgspec.structs.replace(small, main="k")
     text, *_ = cause_cells((small, spring(1, k=-0.8, c0=8.9)))
     assert text == "joint spring c0 = 0.5, 8.9 N m"
 

@@ -4,8 +4,11 @@ import math
 
 import msgspec
 import pytest
+from msgspec import UNSET
 
-from torchid.results.answer import Answer, Cause, JointError, LawCause, Size
+from tests.causes import errors, numbers
+from torchid.results.answer import Answer, JointError
+from torchid.results.cause import Cause, Size
 from torchid.results.friction import FrictionAt, FrictionDetail, FrictionLaw
 
 
@@ -27,14 +30,14 @@ def answer(*causes: Cause, laws: tuple[FrictionLaw, ...], n: int = 3) -> Answer:
         JointError(joint=j, name=f"j{j}", before=5.0, after=1.0, noise=(0.1, 0.2)) for j in range(n)
     ]
     return Answer(
-        status="explained", error="the gap", unit="N m", before=9.0, after=2.0, noise=(0.1, 0.2),
+        status="explained", error="the gap", unit="N m", **errors(9.0, 2.0), noise=(0.1, 0.2),
         closed=0.9, joints=joints, causes=causes, friction=laws,
     )  # fmt: skip
 
 
-def cause(effect: str, *joints: int, closes: float = 0.1) -> Cause:
+def cause(effect: str, *joints: int, share: float = 0.1) -> Cause:
     size = Size(name="c", unit="N m", value=1.5, std=0.1)
-    return Cause(effect=effect, joints=joints, sizes=(size,), how_sure=0.9, closes=closes)
+    return Cause(effect=effect, joints=joints, how_sure=0.9, share=share, **numbers(size))
 
 
 def test_three_speeds_or_the_middle_one():
@@ -51,10 +54,10 @@ def test_directions_are_averaged_and_one_alone_is_enough():
 
 def test_several_terms_of_a_joint_are_one_entry():
     every = [cause(name, j) for j in range(3) for name in ("coulomb_friction", "viscous_friction")]
-    gain = cause("torque_gain", closes=0.05)
+    gain = cause("torque_gain", share=0.05)
     said = answer(*every, gain, laws=tuple(map(law, range(3))))
-    assert [type(c) for c in said.entries] == [LawCause] * 3 + [Cause]
-    assert [c.closes for c in said.entries[:3]] == pytest.approx([0.2] * 3)
+    assert [c.law is UNSET for c in said.entries] == [False] * 3 + [True]
+    assert [c.share for c in said.entries[:3]] == pytest.approx([0.2] * 3)
     assert said.causes == (*every, gain)
     # Not one row of all joints.
     assert said.shared() == [(gain,)]
@@ -70,11 +73,11 @@ def test_one_term_keeps_its_name_and_so_does_what_is_elsewhere():
     assert said.entries == said.causes == (one, other, arm)
 
 
-@pytest.mark.parametrize(("unnamed", "kind"), [(0.1, LawCause), (0.0, Cause), (-0.1, Cause)])
-def test_one_sure_term_is_a_law_where_others_remove_some_of_the_error_too(unnamed, kind):
+@pytest.mark.parametrize(("unnamed", "as_law"), [(0.1, True), (0.0, False), (-0.1, False)])
+def test_one_sure_term_is_a_law_where_others_remove_some_of_the_error_too(unnamed, as_law):
     one = cause("presliding_hysteresis", 0)
     details = [FrictionDetail(detail="loop", effects=("presliding_hysteresis",), how_sure=0.99)]
     said = answer(one, laws=(law(0, details=details, unnamed=unnamed),))
-    assert [type(c) for c in said.entries] == [kind]
+    assert [c.law is not UNSET for c in said.entries] == [as_law]
     assert "without a sure name" not in msgspec.structs.replace(said, unnamed=-0.1).headline
     assert "(10 % without a sure name)" in msgspec.structs.replace(said, unnamed=0.1).headline

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from torchid.results.replication import MotionScale, excess_std, repeat_words, replication_of
+from torchid.results.agreement import MotionScale, repeat_words
+from torchid.results.replication import excess_std, replication_of
 
 
 def scales(*values: float, std: float = 0.1) -> list[MotionScale]:

@@ -51,7 +51,7 @@ def test_every_cause_is_as_large_as_asked_for_and_on_one_joint(diagnosis):
         assert int((sizes > 0).sum()) == 1
     # What is of no library is among them, and what the answer names comes first.
     assert sum(p.name == OUTSIDE for p in plantings) >= 2
-    assert plantings[0].name == diagnosis.findings[0].effect.name
+    assert plantings[0].name == diagnosis.which[0].effect
 
 
 @pytest.mark.slow

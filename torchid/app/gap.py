@@ -126,8 +126,7 @@ def gap_command(
             force=asked.force, progress=progress, watch=watch,
         )  # fmt: skip
     model = None if asked.save_model is None else str(asked.save_model)
-    held_out = [path.stem for path in trials.held_out or ()]
-    words = model_words(result.answer, model, trials.robot, held_out)
+    words = model_words(result.answer, model, trials.robot)
     # The worst joints of an earlier run may have been others.
     to_print = [
         output.keep(

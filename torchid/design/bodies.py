@@ -21,7 +21,7 @@ import torch
 from scipy import sparse
 from scipy.linalg import block_diag
 
-from torchid.design.gram import DETERMINED, Equations, Solved, inverse_root
+from torchid.design.gram import DETERMINED, inverse_root
 from torchid.errors import TorchidError
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters, pseudo_inertia_basis
 from torchid.typing import Float, Int, Tensor
@@ -132,8 +132,10 @@ class Prior:
         where they are expected make it negative."""
         return float(x @ self.squares @ x - 2 * x @ self.pull)
 
-    def solve(self, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]) -> Solved:
-        """The minimum beside normal equations; the root is that of free coefficients.
+    def solve(
+        self, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
+    ) -> Float[Tensor, " K"]:
+        """The minimum beside normal equations.
 
         Raises:
             TorchidError: the conic program has no solution.
@@ -142,11 +144,7 @@ class Prior:
         root = inverse_root(matrix, known=self.squares)
         x = root @ (root.T @ right)
         _stay_bodies([self.bodies], matrix.unsqueeze(0), right.unsqueeze(0), x.unsqueeze(0))
-        return Solved(x, root)
-
-    def solve_of(self, equations: Equations, weight: Float[Tensor, " n"]) -> Solved:
-        """The minimum of joints' normal equations with these weights (n,)."""
-        return self.solve(*equations.weighted(weight))
+        return x
 
 
 def _no_bodies(bodies: Sequence[Bodies | None], x: Float[Tensor, "G K"]) -> list[list[int]]:

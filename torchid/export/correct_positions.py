@@ -37,6 +37,7 @@ from torchid.position.diagnose import refitted
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.model import ServoArm
 from torchid.position.replay import replay
+from torchid.results.cause import held_out_words
 from torchid.robot.model import Robot, error_unit
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
@@ -93,7 +94,9 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     )
     judged = Judged(
         unit=error_unit(robot),
-        held_out="the log that was fitted" if asked.held_out is None else "a held-out log",
+        held_out="the log that was fitted"
+        if asked.held_out is None
+        else held_out_words(asked.held_out.names),
         nominal=_rms((data.tracks.u - data.q) / data.scale),
         full=replay(arm, on, windows=WINDOW_S).error[0],
         claim=replay(alone, on, windows=WINDOW_S).error[0],

@@ -35,9 +35,10 @@ from torchid.export.write_actuator import adds_any
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import SPREAD
 from torchid.gap.data import Data, read
+from torchid.gap.describe.traces import traces
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.folds import Folds, make_folds
-from torchid.gap.validate.traces import traces
+from torchid.results.cause import held_out_words
 from torchid.results.words import effect_words, listed
 from torchid.robot.model import Robot, joint_list
 from torchid.simulation.shooting import starts_of, windows_of
@@ -141,7 +142,7 @@ def _judged(
             name: _percent(shown, some, data.silent) for name, some in torques.items()
         }
         alone = "parts that were not fitted" if by_folds else "the log that was fitted"
-        held_out = alone if apart is None else "a held-out log"
+        held_out = alone if apart is None else held_out_words(s.name for s in apart.segments)
         judged = Judged(unit="%", held_out=held_out, by=engines[0].name, band=data.band, **errors)
         _require_better(judged)
         inside = _in_file(robot, whole, original, to)

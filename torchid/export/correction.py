@@ -69,7 +69,7 @@ class Judged(Errors, frozen=True, eq=False, kw_only=True):
 
     Attributes:
         unit: `%`, or of position errors.
-        held_out: what the errors are on: `a held-out log`, `parts that were not fitted`, or
+        held_out: what the errors are on: names of held-out logs, `parts that were not fitted`, or
             `the log that was fitted`.
         by: the engine that runs the file.
         band: [Hz]; None of positions.

@@ -12,7 +12,7 @@ from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.dynamics import require_same_arm
 from torchid.export.record import ResidualBand
-from torchid.gap.record import Fitted, GapRecord, JointFit
+from torchid.gap.record import Coefficient, Covariance, GapRecord
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.knowledge import known_names, pooled
 from torchid.robot.inertia import PARAMETERS_PER_LINK, paper_order
@@ -29,19 +29,17 @@ class DrawnFrom:
     Attributes:
         corrected: the centre.
         given: the robot whose bodies the drawn ones are near to.
-        fits: explanations, each with the covariance of its coefficients.
+        known: how well its coefficients are.
         left: (n,) torque that stays unexplained, RMS [N m; N].
         bands: the same, joint by joint.
-        words: what an explanation without words of its own is called.
         warnings: sentences for the user.
     """
 
     corrected: Robot
     given: Robot
-    fits: tuple[JointFit, ...]
+    known: Covariance
     left: Float[Tensor, " n"]
     bands: tuple[ResidualBand, ...]
-    words: str = "what the diagnosis tells"
     warnings: tuple[str, ...] = ()
 
 
@@ -51,7 +49,7 @@ def of_diagnosis(found: GapRecord, robot: Robot | None, level: float) -> DrawnFr
     Raises:
         TorchidError: a diagnosis of an older version, which has no covariance; another robot.
     """
-    if found.corrected is None or found.model is None or not found.joint_fits:
+    if found.corrected is None or found.model is None or found.covariance is None:
         older = found.corrected is None or found.status in ("explained", "parametric_only")
         raise TorchidError(
             "the diagnosis holds no covariance of what it found"
@@ -62,7 +60,7 @@ def of_diagnosis(found: GapRecord, robot: Robot | None, level: float) -> DrawnFr
     given = found.model if robot is None else robot
     require_same_arm(given, found.corrected, "diagnosis is")
     left = torch.tensor([max(j.after, 1e-9) for j in found.how_far.per_joint]).double()
-    return DrawnFrom(found.corrected, given, found.joint_fits, left, _bands(found, level))
+    return DrawnFrom(found.corrected, given, found.covariance, left, _bands(found, level))
 
 
 def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
@@ -84,33 +82,22 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
     base, order = base_parameters(model), paper_order(model.n_links).tolist()
     at = [order[k] for k in base.independent]
     own = {
-        name: (effect.name, coefficient, value)
-        for effect, values in nominal_effects(model)
-        for name, coefficient, value in zip(
-            known_names(effect), effect.coefficient_names(), values, strict=True
-        )
+        name: (effect.name, coefficient)
+        for effect, _ in nominal_effects(model)
+        for name, coefficient in zip(known_names(effect), effect.coefficient_names(), strict=True)
     }
     names = [name for name in known.coefficients if name in own]
     root = known.over(names).root
     root = root[:, [*at, *range(known.rigid, root.shape[1])]]
     zero = root.new_zeros(root.shape[1])
     _, covariance, determined = pooled(root, zero, root[:0], zero)
-    pi = model.parameters.pi.double().flatten()
     coefficients = []
     for k in at:
         link, entry = divmod(k, PARAMETERS_PER_LINK)
         name = LinkInertia(link).coefficient_names()[entry]
-        coefficients.append(Fitted(effect=LINK, names=(name,), value=float(pi[k])))
-    for name in names:
-        effect, coefficient, value = own[name]
-        coefficients.append(Fitted(effect=effect, names=(coefficient,), value=value))
-    fit = JointFit(
-        weight=1.0,
-        words="",
-        coefficients=tuple(coefficients),
-        covariance=covariance,
-        corrected=None,
-    )
+        coefficients.append(Coefficient(effect=LINK, names=(name,)))
+    coefficients += [Coefficient(effect=own[n][0], names=own[n][1:]) for n in names]
+    told = Covariance(coefficients=tuple(coefficients), matrix=covariance)
     every = [*base.names, *names]
     open_ = [name for name, there in zip(every, determined.tolist(), strict=True) if not there]
     said = [
@@ -135,9 +122,8 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
         )
         for j, rms in enumerate(known.left.tolist())
     )
-    words = f"what is known from {', '.join(known.sources)}"
     left = known.left.clamp(min=1e-9)
-    return DrawnFrom(model, given, (fit,), left, bands, words, tuple(said))
+    return DrawnFrom(model, given, told, left, bands, tuple(said))
 
 
 def _unit(robot: Robot | None, joint: int) -> str:

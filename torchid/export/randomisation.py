@@ -19,14 +19,14 @@ from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
 from torchid.export.export import stem_of
-from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand, Share
+from torchid.export.record import RandomisationRecord, RangeRow, ResidualBand
 from torchid.export.write_randomised import isaaclab, mjlab, ranges_csv, servo_csv
 from torchid.files import atomic_write, require_name
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.simulation.servo import NAMES, Servos
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Float, Tensor
 
 FIELDS: dict[str, tuple[type[Effect], int]] = {
     "damping": (ViscousFriction, 0),
@@ -43,14 +43,12 @@ class Draws:
     """D draws of a robot.
 
     Attributes:
-        which: (D,) number of the explanation that each is of.
         pi: (D, n, 10) bodies, all of them feasible.
         effects: per draw, with coefficients drawn and physical signs.
         nearest: how many draws belong to no body and have the nearest one; then none is drawn anew.
         anew: share of the points that no body has, and that were drawn anew.
     """
 
-    which: Int[Tensor, " D"]
     pi: Float[Tensor, "D n 10"]
     effects: tuple[tuple[Valued, ...], ...]
     nearest: int
@@ -71,7 +69,6 @@ class Randomisation(Result):
         robot: the centre: the diagnosed robot with bodies; of positions the robot that was given.
         joint_names: of the robot, or numbers.
         residual: torque that stays unexplained, joint by joint.
-        explanations: that were drawn from, with how many draws each has.
         warnings: sentences for the user.
     """
 
@@ -82,7 +79,6 @@ class Randomisation(Result):
     robot: Robot | None
     joint_names: tuple[str, ...]
     residual: tuple[ResidualBand, ...] = ()
-    explanations: tuple[Share, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -90,7 +86,7 @@ class Randomisation(Result):
 
     def __len__(self) -> int:
         drawn = self.draws
-        return len(drawn.joint if isinstance(drawn, Servos) else drawn.which)
+        return len(drawn.joint if isinstance(drawn, Servos) else drawn.pi)
 
     @cached_property
     def record(self) -> RandomisationRecord:
@@ -181,7 +177,7 @@ def drawn_values(
     every: Draws, centre: Robot
 ) -> tuple[dict[str, Float[Tensor, "D n"]], list[tuple[str, str, Float[Tensor, " D"]]]]:
     """Fields of joints (D, n), and coefficients without a field: name, unit, (D,)."""
-    count, n = len(every.which), centre.n
+    count, n = len(every.pi), centre.n
     fields = {name: torch.zeros(count, n, dtype=torch.float64) for name in FIELDS}
     beside: dict[str, tuple[str, Tensor]] = {}
     for d, pairs in enumerate(every.effects):
@@ -213,7 +209,6 @@ def _plain_draws(done: Randomisation) -> dict[str, Any]:
     return {
         "joint_names": np.array(robot.joint_names),
         "link_names": np.array(robot.link_names),
-        "explanation": drawn.which.numpy(),
         "mass": bodies.mass.numpy(),
         "com": bodies.com.numpy(),
         "inertia_about_com": bodies.inertia_about_com.numpy(),

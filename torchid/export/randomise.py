@@ -1,8 +1,7 @@
 """How wide to randomise a simulator: draws of the robot from what is known of it, and their ranges.
 
-What a diagnosis fitted has a covariance (block jackknife, all coefficients together); the
-alternatives of its answer have their probabilities. A draw takes one of them by that, and its
-coefficients from their covariance; a model of a type has the spread of its units in its own.
+What a diagnosis fitted has a covariance (block jackknife, all coefficients together), from which a
+draw takes its coefficients; a model of a type has the spread of its units in its own.
 Quasi-random normal points (Sobol, scipy) make a few hundred draws tell the ends of a range.
 
 Bodies: torque knows base parameters only. Each draw's change of them is carried by the smallest
@@ -35,9 +34,9 @@ from torchid.export.randomisation import (
     sobol_points,
 )
 from torchid.export.randomise_positions import randomise_positions
-from torchid.export.record import RangeRow, Share
+from torchid.export.record import RangeRow
 from torchid.extraction.entropic import NearBodies, Quadratic, nearest_bodies, room_of
-from torchid.gap.record import GapRecord, JointFit
+from torchid.gap.record import Covariance, GapRecord
 from torchid.identification.base_parameters import base_parameters
 from torchid.inputs import RobotLike, as_robot
 from torchid.position.record import PositionRecord
@@ -106,14 +105,9 @@ def randomise(
         source = of_diagnosis(found, robot, level)
     centre, every, more = _drawn(source, draws, seed)
     fields, beside = drawn_values(every, centre)
-    used = every.which.bincount(minlength=len(source.fits)).tolist()
-    explanations = tuple(
-        Share(words=f.words or source.words, weight=f.weight, draws=n)
-        for f, n in zip(source.fits, used, strict=True)
-    )
     ranges = _ranges(fields, beside, every, centre, level)
     return Randomisation(
-        centre.name, level, every, ranges, centre, centre.joint_names, source.bands, explanations,
+        centre.name, level, every, ranges, centre, centre.joint_names, source.bands,
         (*source.warnings, *more),
     )  # fmt: skip
 
@@ -121,26 +115,17 @@ def randomise(
 def _drawn(source: DrawnFrom, draws: int, seed: int) -> tuple[Robot, Draws, list[str]]:
     """The centre, draws, and what is to be said of them."""
     given, near = source.given, _Near(source.given, source.left)
-    parts = [_Explained.of(fit.corrected or source.corrected, fit) for fit in source.fits]
-    centres = [near.centre(part.pi) for part in parts]
-    said = near.words(centres[0], parts[0].pi)
-    weights = torch.tensor([fit.weight for fit in source.fits], dtype=torch.float64)
-    # Points of a low-discrepancy sequence: one number says which explanation, the others how far.
-    count = draws * (CANDIDATES if any(bool(part.body.any()) for part in parts) else 1)
-    points = sobol_points(count, 1 + max(part.root.shape[1] for part in parts), seed)
-    z, first = normal_points(points[:, 1:]), torch.from_numpy(points[:, 0].copy())
-    which = torch.searchsorted(weights.cumsum(0) / weights.sum(), first).clamp(max=len(parts) - 1)
-    steps: dict[int, Tensor] = {}
-    pi = torch.empty(count, given.n, PARAMETERS_PER_LINK, dtype=torch.float64)
-    for k, part in enumerate(parts):
-        mine = which == k
-        moved = z[mine, : part.root.shape[1]] @ part.root.T
-        change = torch.zeros(len(moved), pi[0].numel(), dtype=torch.float64)
-        change.index_add_(1, part.at_body, moved[:, part.body])
-        pi[mine] = near.moved(centres[k], change)
-        steps |= dict(zip(mine.nonzero().flatten().tolist(), moved, strict=True))
+    told = _Explained.of(source.corrected, source.known)
+    mean = near.centre(told.pi)
+    said = near.words(mean, told.pi)
+    count = draws * (CANDIDATES if bool(told.body.any()) else 1)
+    steps = normal_points(sobol_points(count, max(1, told.root.shape[1]), seed))
+    steps = steps[:, : told.root.shape[1]] @ told.root.T
+    change = torch.zeros(count, told.pi.numel(), dtype=torch.float64)
+    change.index_add_(1, told.at_body, steps[:, told.body])
+    pi = near.moved(mean, change)
     # The first that are bodies; where too few are, of all draws the nearest bodies.
-    are = _are_bodies(pi, INSIDE * usual_bodies(centres[0]))
+    are = _are_bodies(pi, INSIDE * usual_bodies(mean))
     kept, none = are.nonzero().flatten()[:draws], list[int]()
     if len(kept) < draws:
         kept = torch.arange(draws)
@@ -148,7 +133,7 @@ def _drawn(source: DrawnFrom, draws: int, seed: int) -> tuple[Robot, Draws, list
         for d in none:
             pi[d] = near.to(pi[d])
     anew = 0.0 if none else 1 - float(are[: int(kept.max()) + 1].double().mean())
-    effects = tuple(parts[int(which[d])].effects(steps[d]) for d in kept.tolist())
+    effects = tuple(told.effects(steps[d]) for d in kept.tolist())
     if none or anew > 0.05:
         said.append(
             f"{len(none)} of {draws} draws of base parameters belong to no body, and have the "
@@ -158,14 +143,14 @@ def _drawn(source: DrawnFrom, draws: int, seed: int) -> tuple[Robot, Draws, list
             "drawn anew"
         )
         said[-1] += ": ranges of single fields hold mostly impossible robots, the draws do not"
-    robot = given.with_parameters(InertialParameters(centres[0]))
-    every = Draws(which[kept], pi[kept], effects, len(none), anew)
-    return replace(robot, effects=records(parts[0].effects(None))), every, said
+    robot = given.with_parameters(InertialParameters(mean))
+    every = Draws(pi[kept], effects, len(none), anew)
+    return replace(robot, effects=records(told.effects(None))), every, said
 
 
 @dataclass(frozen=True, eq=False)
 class _Explained:
-    """One explanation as it is drawn from.
+    """A model as it is drawn from.
 
     Attributes:
         pi: (10 n,) of its model, loads included.
@@ -183,8 +168,8 @@ class _Explained:
     places: tuple[tuple[tuple[int, int], ...], ...]
 
     @staticmethod
-    def of(model: Robot, fit: JointFit) -> "_Explained":
-        """Of a corrected model, and its fit."""
+    def of(model: Robot, fit: Covariance) -> "_Explained":
+        """Of a corrected model, and how well its coefficients are known."""
         pairs, others = nominal_effects(model), list[Valued]()
         robot, known = model, dict[tuple[str, str], tuple[int, int | None]]()
         for link in range(model.n_links):
@@ -200,7 +185,7 @@ class _Explained:
                 known |= {key: (len(others), k) for k, key in enumerate(own)}
                 others.append((effect, list(values)))
         keys = [[(c.effect, name) for name in c.names] for c in fit.coefficients]
-        sizes, axes = torch.linalg.eigh(fit.covariance.double())
+        sizes, axes = torch.linalg.eigh(fit.matrix.double())
         root = axes * sizes.clamp(min=0).sqrt()
         at = [[known[key] for key in own if key in known] for own in keys]
         body = [bool(own) and own[0][1] is None for own in at]
@@ -312,20 +297,13 @@ def _ranges(
 ) -> tuple[RangeRow, ...]:
     """Of everything in which draws differ."""
     out = []
-    first = every.which == 0
-    mixed = not bool(first.all())
 
     def row(field: str, name: str, unit: str, x: Float[Tensor, " D"]) -> None:
         spread = float(x.max() - x.min())
         if spread <= 1e-9 * float(x.abs().max()):
             return
-        own = x[first] if int(first.sum()) > 1 else x
-        parts = [f"one standard deviation is {float(own.std()):.2g} {unit} by the log"]
-        if mixed and float((x[~first].mean() - own.mean()).abs()) > float(own.std()):
-            share = 100 * float((~first).double().mean())
-            parts.append(f"{share:.0f} % of the draws are of explanations that say it otherwise")
-        middle, why = float(own.median()), f"{'; '.join(parts)}."
-        out.append(range_row(field, name, unit, x, level, middle, why))
+        why = f"one standard deviation is {float(x.std()):.2g} {unit} by the log."
+        out.append(range_row(field, name, unit, x, level, float(x.median()), why))
 
     for field, x in fields.items():
         kind, c = FIELDS[field]

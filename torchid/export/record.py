@@ -224,14 +224,6 @@ class ResidualBand(Part, frozen=True, kw_only=True):
     why: Annotated[str, Col()]
 
 
-class Share(Part, frozen=True, kw_only=True):
-    """An explanation that was drawn from: what it is, its probability, how many draws it has."""
-
-    words: str
-    weight: Real
-    draws: int
-
-
 class RandomisationRecord(Record, frozen=True, kw_only=True, tag="torchid.randomisation/1"):
     """How wide to randomise.
 
@@ -241,7 +233,6 @@ class RandomisationRecord(Record, frozen=True, kw_only=True, tag="torchid.random
         draws: how many.
         ranges: of all fields and coefficients in which draws differ.
         residual: by joint.
-        explanations: that were drawn from.
         files: what was written, from a command.
         warnings: sentences for the user.
         seed: of the draws, from a command.
@@ -252,7 +243,6 @@ class RandomisationRecord(Record, frozen=True, kw_only=True, tag="torchid.random
     draws: int
     ranges: tuple[RangeRow, ...]
     residual: tuple[ResidualBand, ...]
-    explanations: tuple[Share, ...]
     files: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     seed: int | UnsetType = UNSET

@@ -154,7 +154,7 @@ def diagnosis(path: Path, *more: str) -> GapRecord | PositionRecord:
     Raises:
         TorchidError: another file, or a fault in it, with its place.
     """
-    found = read(path, ("torchid.gap/1", *more), "the JSON of `torchid gap`")
+    found = read(path, ("torchid.gap/2", *more), "the JSON of `torchid gap`")
     assert isinstance(found, PositionRecord | GapRecord)
     if isinstance(found, GapRecord) and found.corrected is None:
         raise TorchidError(f"'{path}' does not hold the corrected model.", expected=_KINDS)

@@ -40,7 +40,7 @@ ROUNDING = 1e-9
 
 KINDS: dict[str, Kind] = {
     "torchid.identification/1": "identifications",
-    "torchid.gap/1": "gap diagnoses",
+    "torchid.gap/2": "gap diagnoses",
     "torchid.parameter_sets/1": "parameter sets",
 }
 

@@ -17,9 +17,10 @@ from torchid.fleet.basis import common_basis, refuse_other_kinematics
 from torchid.fleet.comparison import ComparedCause, State
 from torchid.fleet.gap import effect_label
 from torchid.fleet.torque import Model, described_model
-from torchid.gap.record import FoundEffect, GapRecord
+from torchid.gap.record import GapRecord
 from torchid.identification.model import model_torque
 from torchid.identification.record import IdentificationRecord
+from torchid.results.cause import Cause
 from torchid.results.record import robot_record
 from torchid.results.words import count, listed, percent
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
@@ -238,12 +239,12 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
     )
 
 
-def _causes(entries: Sequence[Sequence[FoundEffect]]) -> list[dict[int, FoundEffect]]:
+def _causes(entries: Sequence[Sequence[Cause]]) -> list[dict[int, Cause]]:
     """Entries that are one cause, by the number of their diagnosis, at most one of each: what most
     name first, then what cannot be told from it."""
     counts = Counter((e.effect, _place(e)) for own in entries for e in own)
     every = [(k, e) for k, own in enumerate(entries) for e in own]
-    causes: list[dict[int, FoundEffect]] = []
+    causes: list[dict[int, Cause]] = []
     for k, entry in sorted(every, key=lambda x: (-counts[x[1].effect, _place(x[1])], x[1].effect)):
         alike = (c for c in causes if k not in c and any(_same(entry, e) for e in c.values()))
         cause = next(alike, None)
@@ -253,7 +254,7 @@ def _causes(entries: Sequence[Sequence[FoundEffect]]) -> list[dict[int, FoundEff
     return causes
 
 
-def _same(a: FoundEffect, b: FoundEffect) -> bool:
+def _same(a: Cause, b: Cause) -> bool:
     """Whether two diagnoses may mean one cause."""
     one, two = _place(a), _place(b)
     if a.effect == b.effect:
@@ -262,7 +263,7 @@ def _same(a: FoundEffect, b: FoundEffect) -> bool:
     return alike and (one == two or not (one and two))
 
 
-def _place(entry: FoundEffect) -> tuple[int, ...]:
+def _place(entry: Cause) -> tuple[int, ...]:
     """Joints from 1, and other places; none of the whole arm."""
     kind = KINDS.get(entry.effect)
     fields = ("joint",) if kind is None else kind.__dataclass_fields__

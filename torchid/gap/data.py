@@ -46,6 +46,9 @@ are far below what is worth a name. The search keeps the columns of all candidat
 STRETCH = 30.0
 """Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
 
+FALSE_SWING = 0.01
+"""Level of a false link that swings, among all joints [1]."""
+
 SHORTEST = 4 * EDGE
 """Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
 
@@ -143,19 +146,18 @@ class Data:
         keep = self.keep & ~silent.unsqueeze(1)
         return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
 
-    def with_swings(self, columns: Columns, alpha: float) -> "Data":
+    def with_swings(self, columns: Columns) -> "Data":
         """The same data, with the links that are seen to swing above the fit's band.
 
         Args:
             columns: at the model as given.
-            alpha: level of a false one.
         """
         # Encoders of the links say more; a model that has elastic joints swings by itself.
         if self.lag is not None or any(
             isinstance(effect, JointElasticity) for effect, _ in columns.model.effects
         ):
             return self
-        return replace(self, swings=swings(columns, self.keep, alpha))
+        return replace(self, swings=swings(columns, self.keep, FALSE_SWING))
 
 
 def spread_over(log: Log, seconds: float) -> tuple[Log, tuple[str, ...]]:

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -14,40 +14,34 @@ from msgspec import UNSET
 
 from torchid.design.columns import Columns, Model
 from torchid.design.segments import EDGE, NEVER, Samples, Segment
-from torchid.effects.base import Coefficient, Effect, Motion
-from torchid.effects.names import PLACES
-from torchid.effects.registry import Valued
+from torchid.effects.base import Motion
 from torchid.files import atomic_write
 from torchid.gap.record import (
     Budget,
+    Covariance,
     Experiment,
     FarRecord,
-    FoundEffect,
     GapRecord,
-    JointFit,
     JointGap,
     JointRms,
     Known,
-    KnownCoefficient,
     NoiseFloor,
-    Parametric,
     RegimeGap,
     Residual,
     Status,
-    UnnamedEffect,
     Where,
 )
 from torchid.gap.settings import GapSettings
-from torchid.json_data import plain
+from torchid.gap.told import LEFT_OUT
 from torchid.notebooks import data_frame
 from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
+from torchid.results.cause import LINK, Cause, Error, JudgedOn
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
-from torchid.results.replication import Replication, agreement_of
+from torchid.results.replication import agreement_of
 from torchid.results.words import count, effect_words, joints_words, listed
-from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import JointType, Robot, torque_unit
+from torchid.robot.model import Robot, torque_unit
 from torchid.robot.writer import write_robot
 from torchid.simulators.nearest_fields import NearestFields, nearest_fields
 from torchid.typing import Bool, Float, Int, Tensor
@@ -63,17 +57,6 @@ given [1]."""
 
 FOREIGN = "Most of this torque does not follow the model."
 ALIEN = "This torque does not follow the model at all."
-
-INERTIA_MEANING = "The link's mass, centre of mass or inertia differs from the model's."
-INERTIA_REMEDY = (
-    "Replace the link's inertial parameters, or all of them by those `torchid identify` finds."
-)
-
-
-def unit_of(unit: str, joints: Iterable[int], robot: Robot) -> str:
-    """A coefficient's unit on these joints: that of revolute ones unless all are prismatic."""
-    kinds = {robot.joint_types[j] for j in joints}
-    return Coefficient("", unit, False, "").unit_for(kinds == {JointType.PRISMATIC})
 
 
 @dataclass(frozen=True)
@@ -206,86 +189,6 @@ def _judged(traces: Sequence[Trace]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """An accepted effect.
-
-    Attributes:
-        effect, values: which, and its coefficients; of an effect common to all joints, that of the
-            first.
-        joints: from 0; of a global effect those whose torque it changes beyond noise.
-        ambiguous_with: names of effects the data do not separate it from.
-        std: block-robust standard deviations of the coefficients.
-        p_value: family-wise, by the test that judged it.
-        how_sure: probability of it, against nothing and against what it cannot be told from; of a
-            set that of the set.
-        changed: coefficients that the model knew otherwise; none of an effect that is new.
-        replication: whether it is the same in every motion.
-        branch_sure: probability that a cause of its branch is there at its place, whichever it is.
-        one_of_a_set: whether it is the likeliest of a set none of which is likely by itself.
-        share: of the error that it takes away, the mean over all orders in which causes may join
-            (`torchid.gap.search.shares`), so that the shares add up to that of the answered model.
-        alone: share of the error that it takes away by itself.
-        removes: (n,) what it takes away of each joint's error [N m; N]; they add up, too.
-        notes: sentences, e.g. a coefficient that is not determined.
-        common: whether one coefficient is common to all joints.
-        main: number of the coefficient that makes most of its torque in these logs.
-    """
-
-    effect: Effect
-    values: tuple[float, ...]
-    joints: tuple[int, ...]
-    ambiguous_with: tuple[str, ...]
-    std: tuple[float, ...]
-    p_value: float
-    how_sure: float
-    share: float
-    alone: float
-    removes: tuple[float, ...]
-    notes: tuple[str, ...] = ()
-    common: bool = False
-    main: int = 0
-    one_of_a_set: bool = False
-    branch_sure: float | None = None
-    changed: tuple[KnownCoefficient, ...] = ()
-    replication: Replication | None = None
-
-    @property
-    def located(self) -> tuple[int, ...]:
-        """Joints that the effect is at, from 0; none where it belongs to the whole arm."""
-        return () if self.common else self.effect.joints
-
-    @property
-    def valued(self) -> Valued:
-        """Effect and coefficients, for a model."""
-        return self.effect, list(self.values)
-
-    def record(self, robot: Robot) -> FoundEffect:
-        """As the JSON has it."""
-        effect = self.effect
-        # Coefficients, shapes and places of the effect; private keys are the program's own.
-        own = {
-            key: value
-            for key, value in effect.record(self.values).items()
-            if key not in ("effect", "joint", "joints") and key[0] != "_"
-        }
-        # A unit follows the joints that the effect is at.
-        located = self.located or self.joints
-        units = {c.name: unit_of(c.unit, located, robot) for c in effect.coefficients}
-        units |= {s.name: unit_of(s.unit, located, robot) for s in effect.shapes}
-        return FoundEffect.of(
-            self,
-            effect,
-            effect=effect.name,
-            parameters=plain(own),
-            std=plain(dict(zip((c.name for c in effect.coefficients), self.std, strict=True))),
-            unit=units,
-            shape=[name for name in own if name in {x.name for x in effect.shapes}],
-            places=[name for name in own if name in PLACES],
-            main=effect.coefficients[self.main].name,
-        )
-
-
-@dataclass(frozen=True)
 class HowFar:
     """RMS over all joints in the band of the report, each joint divided by nothing: N m (or N).
 
@@ -293,63 +196,24 @@ class HowFar:
         rms_before, rms_after: (n,) on data used for no choice, while the joint moves: at rest, and
             where it may stick, friction can be anything.
         closed: share of the error beyond noise that is closed (see
-            `torchid.gap.validate.closing`); None where the gap's interval holds zero.
+            `torchid.gap.describe.closing`); None where the gap's interval holds zero.
         closed_ci95: what it may be on other motions, where the log has three different ones or
             more: of resampled motions and blocks of them; else of resampled blocks.
+        judged: the data.
+        left_out: the error after on motions left out in turn, where others were held out.
     """
 
     rms_before: Float[Tensor, " n"]
     rms_after: Float[Tensor, " n"]
     closed: float | None
     closed_ci95: tuple[float, float] | None
+    judged: JudgedOn = field(default=LEFT_OUT, kw_only=True)
+    left_out: Error | None = field(default=None, kw_only=True)
 
     @property
     def less(self) -> float:
         """Share of the error that is gone, whatever of it is noise; none where it grows."""
         return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
-
-
-def body_change(before: InertialParameters, after: InertialParameters) -> str:
-    """What to set of a link: its mass, centre of mass and inertia, before and after; of numbers
-    without a mass the first moment, and the inertia about the link's frame."""
-    heavy = min(float(before.mass), float(after.mass)) > 0
-    mass, centre, inertia = (
-        " -> ".join(words)
-        for words in zip(*(_body_words(body, heavy) for body in (before, after)), strict=True)
-    )
-    where, about = ("centre of mass", "it") if heavy else ("first moment", "the link's frame")
-    return (
-        f"Set the link's mass {mass} kg, its {where} {centre} {'m' if heavy else 'kg m'}, its "
-        f"inertia about {about} (xx, yy, zz) {inertia} kg m²."
-    )
-
-
-def _body_words(body: InertialParameters, heavy: bool) -> tuple[str, str, str]:
-    """Mass, centre of mass or first moment, and inertia about that or the link's frame."""
-    centre = body.com if heavy else body.first_moment
-    inertia = body.inertia_about_com if heavy else body.inertia_about_link_frame
-    parts = (centre, inertia[[0, 3, 5]])
-    centre_words, inertia_words = (f"({', '.join(f'{v:.3g}' for v in x.tolist())})" for x in parts)
-    return f"{float(body.mass):.3g}", centre_words, inertia_words
-
-
-def _link(changed: Parametric) -> FoundEffect:
-    """Changed inertial parameters as an accepted effect; a link has the number of its joint."""
-    return FoundEffect.of(
-        changed,
-        effect="link_inertia",
-        family="inertia",
-        branch="inertia",
-        joints=changed.links,
-        located=changed.links,
-        parameters={"links": [link + 1 for link in changed.links]},
-        std={},
-        unit={},
-        shape=(),
-        places=(),
-        meaning=INERTIA_MEANING,
-        remedy=changed.change or INERTIA_REMEDY,
-    )
 
 
 @dataclass(frozen=True)
@@ -361,7 +225,8 @@ class TorqueDiagnosis(Diagnosis):
         corrected: the robot with accepted effects and corrected parameters.
         status: the verdict.
         joints, regimes: where.
-        findings, parametric: which.
+        causes: that have a name, the largest share first: effects, links whose inertial parameters
+            changed, and all base parameters.
         how_far, budget: how far.
         floor: noise in the band of the report.
         not_testable: effects these data cannot show, with the smallest size that could be seen.
@@ -372,8 +237,7 @@ class TorqueDiagnosis(Diagnosis):
         refitted: whether base parameters were fitted with everything.
         warnings: sentences for the user.
         friction: the law of each joint that has friction, in the model or found.
-        joint_fits: what is told with the covariance of all its coefficients, then what cannot be
-            told from it.
+        covariance: of the coefficients of all causes that last; None where nothing was fitted.
         residual: what is left of each joint's torque on data it was not fitted on.
         small: effects that are there and below what was asked for.
         suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
@@ -386,8 +250,7 @@ class TorqueDiagnosis(Diagnosis):
     status: Status
     joints: tuple[JointGap, ...]
     regimes: tuple[RegimeGap, ...]
-    findings: tuple[Finding, ...]
-    parametric: tuple[Parametric, ...]
+    causes: tuple[Cause, ...]
     how_far: HowFar
     budget: Budget
     floor: NoiseFloor
@@ -400,32 +263,29 @@ class TorqueDiagnosis(Diagnosis):
     refitted: bool
     warnings: tuple[str, ...]
     friction: Rows[FrictionLaw] = field(default_factory=Rows)
-    joint_fits: tuple[JointFit, ...] = ()
+    covariance: Covariance | None = None
     residual: tuple[Residual, ...] = ()
-    small: tuple[UnnamedEffect, ...] = ()
-    suspects: tuple[UnnamedEffect, ...] = ()
+    small: tuple[Cause, ...] = ()
+    suspects: tuple[Cause, ...] = ()
     knowledge: Known | None = None
     doubt: str = ""
 
     def __repr__(self) -> str:
-        effects = ", ".join(f.effect.name for f in self.findings) or "no effects"
+        effects = ", ".join(c.effect for c in self.which) or "no effects"
         closed = (
             "" if self.how_far.closed is None else f", {100 * self.how_far.closed:.0f} % closed"
         )
         return f"Diagnosis('{self.robot.name}', {self.status}: {effects}{closed})"
 
-    @cached_property
-    def which(self) -> tuple[FoundEffect, ...]:
-        """Accepted effects, then links whose inertial parameters changed, as the JSON has them."""
-        links = (_link(p) for p in self.parametric if p.links)
-        return (*(f.record(self.robot) for f in self.findings), *links)
+    @property
+    def which(self) -> tuple[Cause, ...]:
+        """Effects and links, as the JSON has them."""
+        return tuple(c for c in self.causes if c.effect != LINK or c.at)
 
     @cached_property
     def agreement(self) -> Rows[RunValue]:
         """What each run alone wants of each cause, one row each; empty of one run."""
-        every: Sequence[FoundEffect | UnnamedEffect]
-        every = (*self.which, *self.small, *self.suspects)
-        return agreement_of((e.cause, e.replication) for e in every)
+        return agreement_of((*self.causes, *self.small, *self.suspects))
 
     @cached_property
     def record(self) -> GapRecord:
@@ -440,6 +300,8 @@ class TorqueDiagnosis(Diagnosis):
                 rms_before=far.rms_before.norm(),
                 rms_after=far.rms_after.norm(),
                 noise_floor_rms=floor.total,
+                on=far.judged.on,
+                how=far.judged.how,
                 per_joint=by_joint(
                     JointRms,
                     before=far.rms_before,
@@ -463,7 +325,7 @@ class TorqueDiagnosis(Diagnosis):
             for t in self.traces
             if len(t.valid) > 3 * EDGE * t.rate / self.band and t.rate == self.traces[0].rate
         ]
-        if not segments or not self.findings:
+        if not segments or not self.which:
             return ()
         columns = Columns(Model.of(self.corrected), Samples(segments, self.band))
         return (*nearest_fields(columns, "mjcf"), *nearest_fields(columns, "urdf"))
@@ -471,32 +333,30 @@ class TorqueDiagnosis(Diagnosis):
     @cached_property
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do."""
-        far, floor, robot = self.how_far, self.floor, self.robot
-        # All base parameters stand in the JSON's `parametric` alone.
-        bodies = (_link(p) for p in self.parametric if not p.links)
-        causes = [f.cause for f in (*self.which, *bodies)]
+        far, floor, unit = self.how_far, self.floor, torque_unit(self.robot)
         return Answer(
             status=self.status,
             error="the gap",
-            unit=torque_unit(robot),
-            before=float(far.rms_before.norm()),
-            after=float(far.rms_after.norm()),
+            unit=unit,
+            before=far.judged.error(float(far.rms_before.norm()), unit),
+            after=far.judged.error(float(far.rms_after.norm()), unit),
+            left_out=far.left_out,
             noise=floor.total,
             closed=far.closed,
             closed_ci95=far.closed_ci95,
             noise_measured=floor.source == "repeats",
             joints=by_joint(
                 JointError,
-                name=robot.joint_names,
+                name=self.robot.joint_names,
                 before=far.rms_before,
                 after=far.rms_after,
                 noise=floor.ends,
             ),
-            causes=tuple(sorted(causes, key=lambda c: -c.closes)),
-            unnamed=sum((e.share for e in self.suspects if not math.isnan(e.share)), 0.0),
+            causes=self.causes,
+            unnamed=sum((c.share for c in self.suspects if not math.isnan(c.share)), 0.0),
             friction=tuple(law.brief for law in self.friction),
-            suspects=tuple(e.cause for e in self.suspects),
-            small=tuple(e.cause for e in self.small),
+            suspects=self.suspects,
+            small=self.small,
             reason=self._reason,
             doubt=self.doubt or self._foreign or UNSET,
         )
@@ -504,7 +364,7 @@ class TorqueDiagnosis(Diagnosis):
     @property
     def _reason(self) -> str:
         """Why nothing is named; empty where something is, or where there is no more to say."""
-        if self.findings or self.parametric:
+        if self.causes:
             return ""
         hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
         if self.status == "negligible":
@@ -523,8 +383,7 @@ class TorqueDiagnosis(Diagnosis):
     @property
     def _foreign(self) -> str:
         """That the torque is another one than the model's, where nothing is named; else empty."""
-        named = bool(self.findings or self.parametric)
-        if self.status != "detected_unexplained" or named or not self.traces:
+        if self.status != "detected_unexplained" or self.causes or not self.traces:
             return ""
         alien = bool(alien_joints(self.traces).any())
         return ALIEN if alien else FOREIGN if is_foreign(self.traces) else ""
@@ -543,7 +402,7 @@ class TorqueDiagnosis(Diagnosis):
         return TorqueOverTime.of(self.traces)
 
     @property
-    def effects(self) -> Rows[FoundEffect]:
+    def effects(self) -> Rows[Cause]:
         """What was found, as a table."""
         return self.record.effects
 

@@ -10,7 +10,8 @@ import numpy as np
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import Search
-from torchid.results.answer import Answer, Cause, Size
+from torchid.results.answer import Answer
+from torchid.results.cause import LINK, Cause
 from torchid.robot.model import Robot, torque_unit
 
 Watch = Callable[[Answer], None]
@@ -35,7 +36,9 @@ def so_far(search: Search, fit: Fit, robot: Robot) -> Answer:
 def _cause(term: Term, values: list[float]) -> Cause:
     """A term of a fit."""
     if term.effect is None or term.inertial:
-        return Cause(effect="link_inertia", joints=term.joints, sizes=())
-    pairs = zip(term.effect.coefficients, values, strict=False)
-    sizes = tuple(Size(name=c.name, unit=c.unit, value=v) for c, v in pairs)
-    return Cause(effect=term.name, joints=term.joints, sizes=sizes)
+        return Cause(effect=LINK, joints=term.joints)
+    pairs = list(zip(term.effect.coefficients, values, strict=False))
+    return Cause(
+        effect=term.name, joints=term.joints, parameters={c.name: v for c, v in pairs},
+        std=dict.fromkeys(c.name for c, _ in pairs), unit={c.name: c.unit for c, _ in pairs},
+    )  # fmt: skip

@@ -5,10 +5,12 @@ from functools import cached_property
 
 from torchid.design.columns import Columns
 from torchid.design.repeats import Repeats
+from torchid.design.segments import Segment
 from torchid.gap.data import Data
 from torchid.gap.folds import Folds
 from torchid.gap.settings import GapSettings
 from torchid.gap.wanted import Wanted
+from torchid.results.cause import JudgedOn
 from torchid.robot.model import Robot
 from torchid.statistics.bagging import Draws
 from torchid.typing import Int, Tensor
@@ -25,6 +27,7 @@ class Problem:
         folds: of the samples, each left out in turn.
         block: (N,) block of every sample, several times as long as the gap is correlated.
         repeats: among the trajectories.
+        apart: what the gap of the model as given differs by between them, stretch by stretch.
         wanted: what is looked for.
         settings: the user's.
         fitted_first: whether the model as given was fitted, because the robot has no parameters.
@@ -36,6 +39,7 @@ class Problem:
     folds: Folds
     block: Int[Tensor, " N"]
     repeats: Repeats
+    apart: tuple[Segment, ...]
     wanted: Wanted
     settings: GapSettings
     fitted_first: bool
@@ -44,6 +48,15 @@ class Problem:
     def robot(self) -> Robot:
         """As given."""
         return self.given.model.robot
+
+    @property
+    def judged_on(self) -> JudgedOn:
+        """The data that judge: logs that were held out, or each log in its turn."""
+        held_out = self.judged is not None
+        names = dict.fromkeys(s.name for s in (self.judged or self.data).segments)
+        if held_out and self.settings.held_out_fraction > 0:
+            names = dict.fromkeys(f"the end of {name}" for name in names)
+        return JudgedOn(on=tuple(names), how="held out" if held_out else "left out in turn")
 
     @cached_property
     def draws(self) -> Draws:

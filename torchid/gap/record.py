@@ -1,4 +1,4 @@
-"""A diagnosis as its JSON has it: the schema torchid.gap/1."""
+"""A diagnosis as its JSON has it: the schema torchid.gap/2."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ import torch
 
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
+from torchid.results.answer import DiagnosisRecord, NotTestable
+from torchid.results.cause import Cause, How
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import (
     FINITE,
@@ -21,15 +22,13 @@ from torchid.results.record import (
     Part,
     Real,
     Rows,
-    Values,
     face,
 )
-from torchid.results.replication import Replication
 from torchid.results.words import effect_words
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulators.nearest_fields import NearestFields
-from torchid.statistics.criteria import MOVED_STD, SET_MASS
+from torchid.statistics.criteria import MOVED_STD
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -45,17 +44,8 @@ Status = Literal[
 ]
 """Of a gap: `negligible` is there, with causes that are smaller than what was asked for."""
 
-Regime = Literal[
-    "velocity_reversal",
-    "low_speed",
-    "high_speed",
-    "high_acceleration",
-    "gravity_load",
-    "position_periodic",
-    "high_frequency",
-    "slow_drift",
-    "transient",
-]
+Regime = Literal["rest", "slow", "fast", "reversal"]
+"""Of a joint's motion: each a part of the time."""
 
 Interval = tuple[float, float]
 
@@ -69,14 +59,6 @@ class JointGap(Part, frozen=True):
     share: Real
 
 
-class Window(Part, frozen=True):
-    """A stretch of a trajectory [s]."""
-
-    trajectory: str
-    from_s: float
-    to_s: float
-
-
 class RegimeGap(Part, frozen=True):
     """Excess of the squared gap in one regime of one joint over the rest of its rows.
 
@@ -86,7 +68,6 @@ class RegimeGap(Part, frozen=True):
             beyond what the regime's share of time would hold.
         ci95: its interval, over blocks.
         p: corrected for the maximum over all joints and regimes.
-        times: windows of a transient.
     """
 
     joint: Joint
@@ -94,7 +75,6 @@ class RegimeGap(Part, frozen=True):
     excess: Real
     ci95: Ends
     p: Real
-    times: tuple[Window, ...] = ()
 
 
 class Where(Part, frozen=True):
@@ -128,124 +108,6 @@ class KnownCoefficient(Part, frozen=True, kw_only=True):
         """`viscous friction Fv3`."""
         effect, _, place = self.name.rpartition(" ")
         return f"{effect_words(effect)} {place}"
-
-
-class FoundEffect(Part, frozen=True, kw_only=True):
-    """An accepted effect; of inertial parameters those of one link.
-
-    Attributes:
-        effect, family, branch: which, and of what kind in the tree of causes.
-        joints: at it; of one that belongs to the whole arm those whose torque it changes.
-        common: whether one coefficient is common to all joints.
-        located: joints that it acts at; none of one that belongs to the whole arm.
-        ambiguous_with: names of effects the data do not separate it from.
-        parameters: coefficients, shapes and places.
-        main: the coefficient that makes most of its torque in these logs.
-        p_value, how_sure, branch_sure, one_of_a_set, share, alone, removes: as Finding's.
-        std, unit: of the coefficients, and units of shapes too.
-        shape, places: which of the parameters are shapes, and which places.
-        changed: coefficients that the model knew otherwise; none of an effect that is new.
-        replication: whether it is the same in every motion; None of what is asked no such thing.
-        meaning, remedy, source: of the effect, in words.
-        notes: sentences.
-    """
-
-    effect: str
-    family: str
-    branch: str = ""
-    joints: tuple[Joint, ...]
-    common: bool = False
-    located: tuple[Joint, ...] = ()
-    ambiguous_with: tuple[str, ...]
-    parameters: Values
-    p_value: float | None
-    how_sure: float | None = None
-    branch_sure: float | None = None
-    one_of_a_set: bool = False
-    std: dict[str, float | None]
-    unit: dict[str, str]
-    shape: tuple[str, ...]
-    places: tuple[str, ...]
-    main: str = ""
-    share: float | None = None
-    alone: float | None = None
-    removes: tuple[Real, ...] = ()
-    changed: tuple[KnownCoefficient, ...] = ()
-    replication: Replication | None = None
-    meaning: str = ""
-    remedy: str = ""
-    source: str | None = None
-    notes: tuple[str, ...] = ()
-
-    @property
-    def cause(self) -> Cause:
-        """As an answer has it: of what the model knew otherwise, what has changed."""
-        changed = tuple(
-            Size(name=c.name, unit=c.unit, value=c.after, std=c.after_std, was=c.before)
-            for c in self.changed
-        )
-        # The deepest node of the tree of causes that is sure enough is the name.
-        sure, of_branch = self.how_sure or 0.0, self.branch_sure or 0.0
-        wide = (self.one_of_a_set or sure < SET_MASS) and of_branch >= SET_MASS
-        return Cause(
-            effect=self.effect,
-            branch=self.branch if wide else "",
-            joints=self.located,
-            sizes=changed or _sizes(self),
-            how_sure=of_branch if wide else self.how_sure,
-            ambiguous_with=self.ambiguous_with,
-            closes=math.nan if self.share is None else self.share,
-            alone=math.nan if self.alone is None else self.alone,
-            remedy=self.remedy,
-        )
-
-
-class UnnamedEffect(Part, frozen=True, kw_only=True):
-    """An effect that gets no name: of a size below what was asked for, or not sure enough.
-
-    Attributes:
-        effect, family, joints, parameters, main, std, unit: as FoundEffect's.
-        how_sure, replication: likewise.
-        closes_rms: error that it takes away, as a root of the fall of the mean square while the
-            joint moves, on the joint where that is most [N m; N].
-        settles: what would settle whether it is there.
-        share: of the error that it takes away, where the corrected model holds it without a name:
-            the data need it, and cannot say that it is this; else null.
-    """
-
-    effect: str
-    family: str
-    joints: tuple[Joint, ...]
-    parameters: Values
-    main: str = ""
-    std: dict[str, float | None]
-    unit: dict[str, str]
-    closes_rms: Real
-    how_sure: float
-    replication: Replication | None = None
-    settles: str = ""
-    share: Real = math.nan
-
-    @property
-    def cause(self) -> Cause:
-        """As an answer has it."""
-        return Cause(
-            effect=self.effect,
-            joints=self.joints,
-            sizes=_sizes(self),
-            how_sure=self.how_sure,
-            closes=self.share,
-            remedy=self.settles,
-        )
-
-
-def _sizes(of: FoundEffect | UnnamedEffect) -> tuple[Size, ...]:
-    """Coefficients as numbers of a cause, that which makes most torque first."""
-    return tuple(
-        Size(name=name, unit=of.unit[name], value=float(value), std=std)
-        for name, std in sorted(of.std.items(), key=lambda item: item[0] != of.main)
-        if isinstance(value := of.parameters[name], float | int)
-    )
 
 
 class Open(Part, frozen=True, kw_only=True):
@@ -295,35 +157,6 @@ class Known(Part, frozen=True, kw_only=True):
         )
 
 
-class Parametric(Part, frozen=True):
-    """Inertial parameters that had to be changed: of one link, or all base parameters.
-
-    Attributes:
-        links: empty for all base parameters.
-        share, p_value, how_sure, branch_sure, alone, removes: as Finding's; None where the
-            parameters are always refitted.
-        ambiguous_with: names of effects.
-        all_base_parameters: whether there is no link.
-        change: mass, centre of mass and inertia of the link before and after, one sentence that
-            says what to set; empty of all base parameters.
-    """
-
-    links: tuple[Joint, ...]
-    share: float
-    p_value: float | None
-    ambiguous_with: tuple[str, ...] = ()
-    how_sure: float | None = None
-    alone: float | None = None
-    removes: tuple[Real, ...] = ()
-    branch_sure: float | None = None
-    all_base_parameters: bool = False
-    change: str = ""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        msgspec.structs.force_setattr(self, "all_base_parameters", not self.links)
-
-
 class JointRms(Part, frozen=True):
     """Torque error of one joint before and after, and the noise."""
 
@@ -334,10 +167,13 @@ class JointRms(Part, frozen=True):
 
 
 class FarRecord(Part, frozen=True, kw_only=True):
-    """How far; over all joints as root of the sum of the joints' mean squares [N m; N]."""
+    """How far; over all joints as root of the sum of the joints' mean squares [N m; N], on data
+    that are named as those of `Error` are."""
 
     rms_before: Real
     rms_after: Real
+    on: tuple[str, ...] = ()
+    how: How = "left out in turn"
     noise_floor_rms: Ends
     closed: float | None
     closed_ci95: tuple[float, float] | None
@@ -352,36 +188,29 @@ class Budget(Part, frozen=True):
     unexplained: Real
 
 
-class Fitted(Part, frozen=True, kw_only=True):
-    """One coefficient of a joint fit.
+class Coefficient(Part, frozen=True, kw_only=True):
+    """One coefficient of a fit.
 
     Attributes:
         effect: name; `link_inertia` of bodies.
         names: of the coefficient with its joint, e.g. `Fc2`; several where joints share it.
-        value: fitted [its unit]: what was added to the model as given.
     """
 
     effect: str
     names: tuple[str, ...]
-    value: Real
 
 
-class JointFit(Part, frozen=True, kw_only=True):
-    """An explanation, all its coefficients fitted together.
+class Covariance(Part, frozen=True, kw_only=True):
+    """How well the coefficients of all causes are known, which were fitted together.
 
     Attributes:
-        weight: probability of it among those listed.
-        words: what stands in whose place; empty of what is told.
         coefficients: K of them.
-        covariance: of their values, 1.96 of its standard deviations being half a 95 % interval.
-        corrected: the model with it; None of what is told, whose model the diagnosis holds.
+        matrix: covariance of their values, 1.96 of its standard deviations being half a 95 %
+            interval.
     """
 
-    weight: Real
-    words: str
-    coefficients: tuple[Fitted, ...]
-    covariance: Annotated[Float[Tensor, "K K"], FINITE]
-    corrected: Model | None = None
+    coefficients: tuple[Coefficient, ...]
+    matrix: Annotated[Float[Tensor, "K K"], FINITE]
 
 
 class Residual(Part, frozen=True, kw_only=True):
@@ -473,15 +302,15 @@ class GapSettingsRecord(GapSettings):
         return self.parameters == "free" or bool(self.background)
 
 
-class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torchid.gap/1"):
+class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torchid.gap/2"):
     """A diagnosis as its JSON has it.
 
     Attributes:
         robot: its name.
         status: the verdict.
         where: joints and regimes.
-        which: accepted effects, and links whose inertial parameters changed.
-        parametric: changed inertial parameters.
+        which: causes that have a name: effects, and links whose inertial parameters changed. The
+            answer has all base parameters beside them, and causes without a name.
         how_far, budget: how far.
         not_testable: effects these data cannot show.
         next_experiment: what would separate an ambiguity, or None.
@@ -492,11 +321,9 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         warnings: sentences for the user.
         model, corrected: the robot as given, and with what was found.
         friction: the law of each joint that has friction, in the model or found.
-        joint_fits: what is told with the covariance of all its coefficients, then what cannot be
-            told from it; none in older files.
+        covariance: of the coefficients of all causes that last; null where nothing was fitted, and
+            in older files.
         residual: what is left, joint by joint; none in older files.
-        small: effects that are there and below what was asked for.
-        suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known before, and what this log adds.
         nearest_fields: for effects of `corrected` that an MJCF or URDF has no field for; none in
             older files.
@@ -506,8 +333,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     robot: str
     status: Status
     where: Where
-    which: tuple[FoundEffect, ...]
-    parametric: tuple[Parametric, ...] = ()
+    which: tuple[Cause, ...]
     how_far: FarRecord
     budget: Budget
     not_testable: tuple[NotTestable, ...]
@@ -521,16 +347,14 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     model: Model | None = None
     corrected: Model | None = None
     friction: tuple[FrictionLaw, ...] = ()
-    joint_fits: tuple[JointFit, ...] = ()
+    covariance: Covariance | None = None
     residual: tuple[Residual, ...] = ()
-    small: tuple[UnnamedEffect, ...] = ()
-    suspects: tuple[UnnamedEffect, ...] = ()
     knowledge: Known | None = None
     nearest_fields: tuple[NearestFields, ...] = ()
     seed: int | msgspec.UnsetType = msgspec.UNSET
 
     @property
-    def effects(self) -> Rows[FoundEffect]:
+    def effects(self) -> Rows[Cause]:
         """What was found, as a table."""
         return Rows(self.which)
 

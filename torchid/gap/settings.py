@@ -24,7 +24,6 @@ class GapSettings:
             is (`auto`).
         cutoff: of the fit [Hz], or "auto".
         report_band: of the report [Hz]: the gap before and after is given below this frequency.
-        alpha: family-wise level at which an effect is accepted.
         worthwhile: least share of a joint's gap by which a cause must lower its held-out error to
             be worth a name.
         worthwhile_torque: the same as a share of the joint's torque.
@@ -41,8 +40,8 @@ class GapSettings:
     Raises:
         TorchidError: an unknown effect or choice, one effect twice, a number out of range.
 
-    >>> GapSettings(effects=("time_delay", "backlash"), cutoff=10.0).alpha
-    0.01
+    >>> GapSettings(effects=("time_delay", "backlash"), cutoff=10.0).worthwhile
+    0.05
     """
 
     effects: tuple[str, ...] | None = None
@@ -50,7 +49,6 @@ class GapSettings:
     parameters: Parameters = "auto"
     cutoff: float | Literal["auto"] = "auto"
     report_band: float = 20.0
-    alpha: float = 0.01
     worthwhile: float = WORTHWHILE
     worthwhile_torque: float = WORTHWHILE_TORQUE
     gain_std: float | None = None
@@ -59,6 +57,18 @@ class GapSettings:
     held_out_fraction: float = 0.0
     seed: int = 0
     only: tuple[tuple[str, int | None], ...] | None = None
+
+    def __new__(cls, *_: object, **named: object) -> "GapSettings":
+        """Settings, none of them one that went."""
+        if "alpha" in named:
+            raise TorchidError(
+                "there is no `alpha` any more: causes have probabilities.",
+                got=f"alpha={named['alpha']}",
+                expected="nothing: looking costs a cause log(looks / 0.3) nats, windows of time "
+                "among the looks, and it is named from a probability of one half",
+                hint="`GapSettings(worthwhile=...)` says how large it must be",
+            )
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         require_choice("parameters", self.parameters, get_args(Parameters))
@@ -80,7 +90,6 @@ class GapSettings:
                 "the cut-off", self.cutoff, 0.0, math.inf, "a frequency in Hz, or `auto`"
             )
         require_between("the report's band", self.report_band, 0.0, math.inf, "a frequency in Hz")
-        require_between("alpha", self.alpha, 0.0, 1.0, "0..1")
         for name, share in (
             ("the least worthwhile share", self.worthwhile),
             ("the least worthwhile share", self.worthwhile_torque),

@@ -1,6 +1,6 @@
 """From a simulator and logs of the real arm to a diagnosis: the whole procedure as one call.
 
-    pose -> Problem | search -> Explanation | decide -> Decision | localise, describe -> the answer
+    pose -> Problem | explain -> Explained | decide -> Decision | describe -> the answer
 
 The model as given is the simulator; the gap is the measured torque minus the model's. Everything
 that is reported belongs to one model, the answered one: its coefficients are fitted on all data,
@@ -12,41 +12,42 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
+from msgspec import structs
 
 from torchid.design.columns import Model
+from torchid.design.segments import Segment
+from torchid.effects.motion import Motion
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
-from torchid.gap.adapter import events_of, explanation_of, judged_of, likely_beside
-from torchid.gap.causes.explain import explain
+from torchid.gap.causes.explain import Explained, explain
+from torchid.gap.describe.checked import Decision, decide
+from torchid.gap.describe.claims import claims_of
+from torchid.gap.describe.closing import budget, residuals
+from torchid.gap.describe.covariance import covariance_of
+from torchid.gap.describe.findings import Findings, Taken, describe_findings
+from torchid.gap.describe.friction import friction_laws
+from torchid.gap.describe.known import after_log, known_of
+from torchid.gap.describe.model import Explanation
+from torchid.gap.describe.shares import shares_of
+from torchid.gap.describe.unnamed import causes_of_few_runs, small_effects, without_name
+from torchid.gap.describe.unseen import next_experiment, not_testable
+from torchid.gap.describe.verdict import status_of, warnings_of
+from torchid.gap.describe.where import where
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch, telling
-from torchid.gap.friction import friction_laws
-from torchid.gap.localise.where import where
-from torchid.gap.problem import Problem
-from torchid.gap.record import Budget, Known, Parametric
-from torchid.gap.search.findings import (
-    Findings,
-    describe_findings,
-    next_experiment,
-    not_testable,
-)
-from torchid.gap.search.joint_fits import joint_fits
-from torchid.gap.search.known import after_log, known_of
-from torchid.gap.search.shares import shares_of
-from torchid.gap.search.terms import Term
-from torchid.gap.search.unnamed import causes_of_few_runs, small_effects, terms_without_name
+from torchid.gap.pose import pose
+from torchid.gap.record import Budget, Known
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.bodies import with_bodies_nearest
-from torchid.gap.validate.closing import budget, residuals
-from torchid.gap.validate.decide import Decision, decide
-from torchid.gap.validate.judge import status_of, warnings_of
-from torchid.gap.validate.pose import pose
+from torchid.gap.told import told_bodies, valued
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, in_shares
 from torchid.results.answer import NotTestable, ordered
+from torchid.results.cause import LINK
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import SHORTEST_LOG, UNLIKELY
+from torchid.typing import Float, Tensor
 
 STAGES = {
     "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9, "done": 0,
@@ -84,52 +85,49 @@ def diagnose_torque(
     # Of no torque, or of an arm that stands still, there is nothing to say yet.
     tells = bool(problem.data.keep.any()) and not problem.data.stands
     told = telling(watch, robot) if tells and watch is not None else None
-    explained = explain(problem, told, events_of(problem))
-    found = explanation_of(explained, problem)
-    if not found.terms:
+    explained = explain(problem, told)
+    if not explained.found.fit.terms:
         problem.data.require_motion()
     say("judging")
-    decision = decide(found, judged_of(explained, found, problem), problem)
+    found = Explanation.of(problem, explained.search, explained.found.fit)
+    decision = decide(found, claims_of(explained))
     say("locating")
-    likely = likely_beside(explained, decision.found)
-    result = describe_diagnosis(decision, problem, likely)
+    result = describe_diagnosis(decision, explained)
     say("done")
     return result
 
 
-def describe_diagnosis(
-    decision: Decision, problem: Problem, likely: Sequence[Term]
-) -> TorqueDiagnosis:
-    """The answer, from a decision, and candidates beside it, the likeliest first: where, which, how
-    far, and what this log could not show."""
-    found, checked, data, settings = (
-        decision.found, decision.checked, problem.data, problem.settings
-    )  # fmt: skip
-    taken = shares_of(found, fitted_first=problem.fitted_first)
+def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagnosis:
+    """The answer, from a decision on what was explained: where, which, how far, and what this log
+    could not show."""
+    found, checked, far = decision.found, decision.checked, decision.checked.far
+    problem, data, settings = found.problem, found.problem.data, found.problem.settings
+    falls = shares_of(found)
+    taken = Taken.of(falls, far)
     # What is recommended is a robot of bodies; what that costs is said.
     corrected, cost = found.solution.model, torch.zeros(problem.robot.n)
-    if any(t.of_links for t in found.solution.terms):
+    if any(p.inertial or p.change is not None for p in found.solution.parts):
         robot, cost = with_bodies_nearest(corrected.robot, data.segments)
         corrected = replace(corrected, robot=robot)
-    named = describe_findings(found, decision.judged, taken, checked.far, corrected.robot)
-    said = with_refit(named, decision, problem)
+    far = replace(far, judged=problem.judged_on)
+    named = describe_findings(found, decision.claims, taken, far, corrected.robot)
+    said = with_refit(named, decision)
     joints, regimes = where(checked.shown, checked.noise.floor, settings.seed, band=data.band)
-    unseen = not_testable(found, data)
+    unseen = not_testable(found)
     # What was known, and what is now: the corrected model holds laws, for a push is no part of it.
-    after = after_log(found, problem)
+    after = after_log(found)
     lasting = tuple(p for p in corrected.effects if p[0].name not in EVENTS)
     recommended = Model(corrected.robot, lasting).described()
-    known = known_of(found, problem, after, decision.least)
-    said = with_changes(said, known)
-    small = small_effects(found, problem, decision.misfit)
-    of_few = causes_of_few_runs(found, problem, decision.misfit, likely)
-    unnamed = terms_without_name(found, decision.judged, taken.of_all(checked.far.less)[0])
+    known = known_of(found, after, decision.least)
+    said = with_changes(said, known, problem.robot)
+    small = small_effects(found, explained)
+    unnamed = without_name(found, decision.claims, taken.shares)
     if decision.dropped is not None:
-        every = terms_without_name(*decision.dropped, [math.nan] * len(decision.dropped[1]))
-        unnamed = tuple(e for e in every if e.how_sure >= UNLIKELY)
+        every = without_name(*decision.dropped, [math.nan] * len(decision.dropped[1]))
+        unnamed = tuple(e for e in every if (e.how_sure or 0.0) >= UNLIKELY)
     hides = known is not None and any(j.hides for j in known.joints)
-    far, shares = checked.far, Budget(0.0, 0.0, 0.0)
-    if not (said.effects or said.parametric):
+    shares = Budget(0.0, 0.0, 0.0)
+    if not said.causes:
         far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
     if far.closed is not None:
         shares = budget(checked.refitted, checked.shown, checked.noise.floor)
@@ -139,58 +137,102 @@ def describe_diagnosis(
         status=status_of(
             said,
             replace(checked, far=far),
-            found.question.least(far.rms_before.square()),
-            decision.unnamed_squares(taken),
-            hides or is_poor(decision, problem, unseen),
-            shown=all(map(found.question.shows, found.terms)),
+            found.worth(far.rms_before.square()),
+            decision.unnamed_squares(falls),
+            hides or is_poor(found, unseen),
+            shown=all(t.shown for t in found.terms),
             taken=decision.taken_back,
             small=bool(small),
         ),
         joints=joints,
         regimes=regimes,
-        findings=said.effects,
-        parametric=said.parametric,
+        causes=said.causes,
         how_far=far,
         budget=shares,
         floor=checked.noise.floor,
         not_testable=tuple(unseen),
-        next_experiment=next_experiment(found, said, problem.block),
+        next_experiment=next_experiment(found, said.open),
         traces=tuple(checked.shown),
         band=data.band,
         cutoff=data.samples.cutoff,
         settings=settings,
         refitted=problem.wanted.free,
-        warnings=ordered(warnings_of(found, checked, problem, cost)),
-        friction=friction_laws(decision, problem, taken),
-        joint_fits=joint_fits(found, said, problem),
+        warnings=ordered(warnings_of(found, checked, cost)),
+        friction=friction_laws(decision, falls, said.causes),
+        covariance=covariance_of(found.solution),
         residual=residuals(checked.shown),
         small=small,
-        suspects=(*unnamed, *of_few),
+        suspects=(*unnamed, *causes_of_few_runs(found, explained)),
         knowledge=known,
     )
 
 
-def with_refit(said: Findings, decision: Decision, problem: Problem) -> Findings:
+def with_refit(said: Findings, decision: Decision) -> Findings:
     """With parameters always refitted: whether that alone closes a part of the gap."""
-    far = decision.checked.refitted_far
+    problem, far = decision.found.problem, decision.checked.refitted_far
     given = problem.wanted.free and not problem.fitted_first
     if not given or far.closed is None or far.closed_ci95 is None or far.closed_ci95[0] <= 0:
         return said
-    return replace(said, parametric=(*said.parametric, Parametric((), far.closed, None)))
+    bodies = told_bodies((), share=far.closed, judged=problem.judged_on)
+    return replace(said, causes=tuple(sorted((*said.causes, bodies), key=lambda c: -c.share)))
 
 
-def with_changes(said: Findings, known: Known | None) -> Findings:
-    """Of what the model has already: what it was, and what it is now."""
+def with_changes(said: Findings, known: Known | None, robot: Robot) -> Findings:
+    """Numbers that the model knew, with how well they are known now."""
     of = {} if known is None else {c.name: c for c in known.coefficients}
-    changed = (
-        replace(f, changed=tuple(of[n] for n in known_names(f.effect) if n in of))
-        for f in said.effects
-    )
-    return replace(said, effects=tuple(changed))
+    causes = []
+    for cause in said.causes:
+        names = [] if cause.effect == LINK else known_names(valued(cause, robot)[0])
+        std = {
+            name: of[key].after_std
+            for name, key in zip(cause.std, names, strict=False)
+            if cause.file and key in of
+        }
+        causes.append(structs.replace(cause, std=cause.std | std))
+    return replace(said, causes=tuple(causes))
 
 
-def is_poor(decision: Decision, problem: Problem, unseen: list[NotTestable]) -> bool:
+def is_poor(found: Explanation, unseen: Sequence[NotTestable]) -> bool:
     """Whether a log is too short, or could not have shown most of what is looked for."""
-    places = {t.key for t in decision.found.question.candidates.terms if not t.inertial}
+    library, data = found.search.library, found.problem.data
+    places = {t.key for t in library.terms if not t.parametric}
     places |= {(x.effect, x.joints) for x in unseen}
-    return len(unseen) > 0.5 * len(places) or problem.data.seconds < SHORTEST_LOG
+    return len(unseen) > 0.5 * len(places) or data.seconds < SHORTEST_LOG
+
+
+STATES = 400
+"""States of a log over which the torque of links that are no bodies counts [1]."""
+
+
+def with_bodies_nearest(
+    robot: Robot, segments: Sequence[Segment]
+) -> tuple[Robot, Float[Tensor, " n"]]:
+    """A robot with the bodies whose torque along a log is nearest to its own.
+
+    Args:
+        robot: with inertial parameters that may belong to no bodies.
+        segments: of the log.
+
+    Returns:
+        The robot, and by how much the torque of its links changes (n,), RMS [N m; N]; the robot as
+        it is, and zeros, where its links are bodies or none were found.
+    """
+    parameters = robot.require_parameters("bodies")
+    unchanged = robot, torch.zeros(robot.n, dtype=torch.float64)
+    if bool((parameters.consistency_margin() >= 0).all()):
+        return unchanged
+    # Convex programs are loaded where they are needed: a third of a second.
+    from torchid.extraction.convex.nearest import nearest_feasible
+    from torchid.feasibility.sets import ParameterSets
+
+    every = [torch.cat(x) for x in zip(*(s.motion.state for s in segments), strict=True)]
+    step = max(1, len(every[0]) // STATES)
+    states = Motion(*(x[::step].double() for x in every))
+    none = torch.zeros(1, 0, dtype=torch.float64)
+    pi = parameters.pi.detach().cpu().double().unsqueeze(0)
+    one = ParameterSets((robot.name,), InertialParameters(pi), (), none)
+    near = nearest_feasible(robot, one, motion=states)
+    if not bool(near.feasible[0]):
+        return unchanged
+    own = InertialParameters(near.sets.parameters.pi[0])
+    return robot.with_parameters(own), near.torque_change[0]

@@ -2,23 +2,24 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.registry import (
     KINDS,
-    effect_from_record,
     effect_kind,
     nominal_effects,
     on_every_joint,
 )
 from torchid.errors import TorchidError
 from torchid.excitation.fourier import FourierTrajectory
-from torchid.gap.record import FoundEffect, GapRecord
+from torchid.gap.record import GapRecord
+from torchid.gap.told import valued
 from torchid.identification.base_parameters import base_parameters
 from torchid.next_motion.rows import Group, Rows, Setting
 from torchid.next_motion.separation import Explanation, Rival, imitation, other_means
+from torchid.results.cause import Cause
 from torchid.robot.model import Robot
 
 LINK = "link_inertia"
@@ -129,7 +130,7 @@ def _by_motion(name: str) -> bool:
     return name in KINDS and KINDS[name].by_motion
 
 
-def _truth(entry: FoundEffect, record: GapRecord, robot: Robot) -> Explanation:
+def _truth(entry: Cause, record: GapRecord, robot: Robot) -> Explanation:
     """An accepted effect with its coefficients; of a link, the change of its parameters."""
     kind = effect_kind(entry.effect)
     joint = entry.joints[0] if entry.joints else 0
@@ -139,10 +140,10 @@ def _truth(entry: FoundEffect, record: GapRecord, robot: Robot) -> Explanation:
             raise TorchidError("the diagnosis does not record the model's inertial parameters.")
         change = robot.parameters.pi[joint] - before.parameters.pi[joint]
         return Explanation((kind(joint),), tuple(change.tolist()))  # type: ignore[call-arg]
-    own = {f.name for f in fields(kind)} | {c.name for c in kind.coefficients}
-    place = {"joint": joint + 1} if "joint" in own else {}
-    values = {k: v for k, v in entry.parameters.items() if k in own}
-    effect, coefficients = effect_from_record({"effect": kind.name, **place, **values}, robot)
+    effect, coefficients = valued(entry, robot)
+    # What the file has already nothing else is taken for.
+    file = [entry.file.get(c.name, 0.0) for c in effect.coefficients]
+    coefficients = [x - has for x, has in zip(coefficients, file, strict=True)]
     group: Group = (effect,)
     if entry.common and isinstance(effect, ModelEffect):
         group = tuple(type(effect).candidates(robot))

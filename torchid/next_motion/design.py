@@ -38,7 +38,7 @@ def read_asking(path: str | Path) -> Asking | PositionRecord:
     """
     record = read(
         path,
-        ("torchid.identification/1", "torchid.gap/1", "torchid.position_gap/1"),
+        ("torchid.identification/1", "torchid.gap/2", "torchid.position_gap/1"),
         "a result that a motion can be designed for",
         "torchid identify or torchid gap ROBOT LOG... --json FILE",
     )

@@ -11,12 +11,14 @@ from torchid.design.segments import moving_samples, reach_of
 from torchid.effects.base import Effect
 from torchid.effects.registry import nominal_effects
 from torchid.gap.data import prepare
-from torchid.gap.diagnosis import Finding, TorqueDiagnosis, unit_of
-from torchid.gap.search.terms import PAYLOAD
+from torchid.gap.describe.model import PAYLOAD
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.told import valued
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.pair.record import OneSided, Side
+from torchid.results.cause import LINK, Cause
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 
@@ -43,9 +45,9 @@ def effects_of(
         first = diagnose_torque(robot, simulated, settings=settings, progress=of("simulator"))
         simulator = _with_its_load(first.corrected)
     second = diagnose_torque(simulator, real, settings=settings, progress=of("arm"))
-    rows = [_one_sided(f, second) for f in second.findings]
-    for p in second.parametric:
-        rows.append(_bodies(p.links, p.share, p.p_value, p.ambiguous_with, second))
+    rows = [
+        _bodies(c, second) if c.effect == LINK else _one_sided(c, second) for c in second.causes
+    ]
     return tuple(sorted(rows, key=lambda x: -x.share)), (first, second)
 
 
@@ -75,24 +77,23 @@ def _as_model(robot: Robot, simulated: Log, settings: GapSettings) -> bool:
     return bool((left <= settings.worthwhile_torque**2 * whole)[data.slides].all())
 
 
-def _one_sided(found: Finding, diagnosis: TorqueDiagnosis) -> OneSided:
-    """A finding of the arm beside the simulator as what either has of it."""
-    names = [c.name for c in found.effect.coefficients]
-    before, after = (_values(r, found.effect) for r in (diagnosis.robot, diagnosis.corrected))
+def _one_sided(found: Cause, diagnosis: TorqueDiagnosis) -> OneSided:
+    """A cause on the arm beside the simulator as what either has of it."""
+    effect, _ = valued(found, diagnosis.robot)
+    before, after = (_values(r, effect) for r in (diagnosis.robot, diagnosis.corrected))
     had, has = max(map(abs, before)), max(map(abs, after))
     less, more = sorted((had, has))
-    located = found.located or found.joints
     return OneSided(
-        effect=found.effect.name,
-        joints=located,
+        effect=found.effect,
+        joints=found.joints,
         more="arm" if has > had else "simulator",
         only=less < NOTHING * more,
-        simulator=dict(zip(names, before, strict=True)),
-        arm=dict(zip(names, after, strict=True)),
-        std=dict(zip(names, found.std, strict=True)),
-        unit={c.name: unit_of(c.unit, located, diagnosis.robot) for c in found.effect.coefficients},
+        simulator=dict(zip(found.std, before, strict=True)),
+        arm=dict(zip(found.std, after, strict=True)),
+        std={name: math.nan if x is None else x for name, x in found.std.items()},
+        unit={name: found.unit[name] for name in found.std},
         share=found.share,
-        p=found.p_value,
+        how_sure=found.how_sure,
         ambiguous_with=found.ambiguous_with,
     )
 
@@ -106,28 +107,22 @@ def _values(robot: Robot, effect: Effect) -> list[float]:
     return total
 
 
-def _bodies(
-    links: tuple[int, ...],
-    share: float,
-    p: float | None,
-    ambiguous: tuple[str, ...],
-    diagnosis: TorqueDiagnosis,
-) -> OneSided:
+def _bodies(found: Cause, diagnosis: TorqueDiagnosis) -> OneSided:
     """Links whose inertial parameters differ, by their masses."""
-    of = links or tuple(range(diagnosis.robot.n))
+    of = found.at or tuple(range(diagnosis.robot.n))
     sides = [r.require_parameters("a pair").mass for r in (diagnosis.robot, diagnosis.corrected)]
     simulator, arm = ({f"m{k + 1}": float(m[k]) for k in of} for m in sides)
     side: Side = "arm" if sum(arm.values()) >= sum(simulator.values()) else "simulator"
     return OneSided(
-        effect="link_inertia",
-        joints=links,
+        effect=LINK,
+        joints=found.at,
         more=side,
         only=False,
         simulator=simulator,
         arm=arm,
         std={},
         unit=dict.fromkeys(arm, "kg"),
-        share=share,
-        p=math.nan if p is None else p,
-        ambiguous_with=ambiguous,
+        share=found.share,
+        how_sure=found.how_sure,
+        ambiguous_with=found.ambiguous_with,
     )

@@ -23,9 +23,9 @@ from torchid.design.segments import EDGE, Segment
 from torchid.doctor.first import ask_first
 from torchid.effects.motion import Motion
 from torchid.errors import TorchidError
+from torchid.gap.describe.noise import white_level
+from torchid.gap.describe.where import where
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.localise.where import where
-from torchid.gap.noise.spectrum import white_level
 from torchid.gap.record import NoiseFloor
 from torchid.gap.settings import GapSettings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot

@@ -110,7 +110,7 @@ class OneSided(Part, frozen=True):
         std: standard deviations of the arm's.
         unit: of the coefficients.
         share: of the gap that it closes.
-        p: of the arm's log without it, corrected for the search.
+        how_sure: probability of it; None where none is known.
         ambiguous_with: what it cannot be told from.
     """
 
@@ -123,7 +123,7 @@ class OneSided(Part, frozen=True):
     std: dict[str, Real]
     unit: dict[str, str]
     share: Real
-    p: Real
+    how_sure: float | None
     ambiguous_with: tuple[str, ...]
 
 

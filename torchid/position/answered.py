@@ -23,7 +23,8 @@ from torchid.position.search import (
     with_usual_effects,
 )
 from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mostly_better
-from torchid.results.answer import Answer, Cause
+from torchid.results.answer import Answer
+from torchid.results.cause import Cause
 from torchid.robot.model import error_unit
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Bool, Float

@@ -33,6 +33,7 @@ from torchid.position.search import plain
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.position.untestable import not_testable
 from torchid.results.answer import Answer
+from torchid.results.cause import JudgedOn
 from torchid.robot.model import Robot
 from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import windows_of
@@ -94,8 +95,13 @@ def diagnose_positions(
     answered, known, odd = _how_well_known(answered, problem)
     result = _described(answered, known, problem)
     if held_out is not None:
-        far = accuracy(result.corrected, held_out, ~problem.data.still)
-        result = replace(result, held_out=far)
+        servos = (problem.simple if problem.file is None else problem.file.model).servos
+        given = replace(result.corrected, robot=problem.data.robot, servos=servos, std=None)
+        before, after = (
+            accuracy(arm, held_out, ~problem.data.still) for arm in (given, result.corrected)
+        )
+        judged = JudgedOn(on=tuple(dict.fromkeys(held_out.names)), how="held out")
+        result = replace(result, held_out=(before, after), judged=judged)
     seconds = time.perf_counter() - begun
     return replace(result, warnings=problem.warnings + odd, seconds=seconds)
 
@@ -164,6 +170,7 @@ def _described(answered: Answered, known: Equations, problem: Problem) -> Positi
         answered=checked.answered,
         file=checked.file,
         regimes=errors_of_regimes(data, *checked.errors),
+        judged=JudgedOn(on=tuple(dict.fromkeys(data.log.names)), how="left out in turn"),
         motions=(data.log.names, errors_of_motions(data, checked.errors[1])),
         errors=checked.errors,
         still=still,

@@ -35,12 +35,16 @@ from torchid.position.record import (
 from torchid.position.repeats import PositionNoise
 from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
+from torchid.results.cause import JudgedOn
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
 from torchid.robot.model import error_unit
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.statistics.criteria import CLEAR_EXCESS, LIKELY, MOSTLY_EXPLAINED, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
+
+LEFT_OUT = JudgedOn(how="left out in turn")
+"""Motions each of which was left out of the fit that it judges."""
 
 
 class Number(NamedTuple):
@@ -97,8 +101,9 @@ class PositionDiagnosis(Diagnosis):
         known: joint by joint which parameters were fitted, and the covariance that motions and
             what was expected before them leave, of logarithms where they are positive
             (`position.fit.absolute`).
-        held_out: errors of a log that took part in nothing, mean of the joints that move: whole
-            motions and windows of 2 s [mrad]; None without one.
+        held_out: the servos before and the answered model, on a log that took part in nothing; None
+            without one.
+        judged: the data that say how far the error shrinks.
         nominal: what the joints' servos are said to be; empty where nothing says it.
         as_given: joints that the servos of the robot's file follow; None without such servos.
         changes: the servos beside those of that file.
@@ -127,7 +132,8 @@ class PositionDiagnosis(Diagnosis):
     unanchored: Bool[Tensor, " n"] | None = None
     file: Accuracy | None = None
     known: tuple[KnownRecord, ...] = ()
-    held_out: tuple[float, float] | None = None
+    held_out: tuple[Accuracy, Accuracy] | None = None
+    judged: JudgedOn = LEFT_OUT
     nominal: tuple[NominalServo, ...] = ()
     as_given: Bool[Tensor, " n"] | None = None
     changes: tuple[ChangeRecord, ...] = ()
@@ -146,13 +152,18 @@ class PositionDiagnosis(Diagnosis):
         return self.plain_servo if self.file is None else self.file
 
     @property
+    def _far(self) -> tuple[Accuracy, Accuracy]:
+        """The servos before and the answered model, on the data that judge."""
+        return self.held_out or (self.before, self.answered)
+
+    @property
     def closed(self) -> float:
         """Share of the error before of whole motions that the answered model takes away, beyond
         noise where repeats tell it; NaN where nothing is left that calls for a cause."""
         if math.isnan(self._closed_in_windows):
             return math.nan
         moves = ~self.still
-        before, after = (w.whole[moves].square() for w in (self.before, self.answered))
+        before, after = (way.whole[moves].square() for way in self._far)
         noise = 1e6 * (self.noise.square / self.data.scale.square())[moves]
         return float(closed_share(before, after, noise))
 
@@ -161,9 +172,9 @@ class PositionDiagnosis(Diagnosis):
         """Share of the squares of what is left before in windows, but for what calls for no cause,
         that the answered model takes away; NaN where nothing is left."""
         floor = self.unseen.square()
-        before, answered = (way.windows.square() for way in (self.before, self.answered))
+        before, answered = (way.windows.square() for way in self._far)
         # What windows leave alone is their starts', whose velocities are those of a few samples.
-        both = torch.minimum(before, self.before.whole.square())
+        both = torch.minimum(before, self._far[0].whole.square())
         gap = (both > CLEAR_EXCESS * floor) & ~self.still
         if self._right_as_given or not bool(gap.any()):
             return math.nan
@@ -198,12 +209,14 @@ class PositionDiagnosis(Diagnosis):
     @cached_property
     def answer(self) -> Answer:
         """What each joint's error is, which causes close it, and what to do: errors of whole
-        motions that were left out, before them those of the file's servos, or of a plain one."""
+        motions, before of the file's servos, or of a plain one."""
         unseen, moves, noise = self.unseen, ~self.still, self._noise_interval
         unit = error_unit(self.data.robot)
         low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
-        before = self.before
-        every = sorted((f.cause for f in self.findings), key=lambda c: -c.closes)
+        every = sorted((f.cause for f in self.findings), key=lambda c: -c.share)
+        first, last = (self.judged.error(way.whole_mrad, unit) for way in self._far)
+        others = JudgedOn(on=tuple(dict.fromkeys(self.motions[0])), how="left out in turn")
+        left_out = others.error(self.answered.whole_mrad, unit) if self.held_out else None
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} {unit} could not be seen."
         plain = f"A plain servo refitted to this log errs {self.plain_servo.whole_mrad:.3g} {unit}."
@@ -211,21 +224,26 @@ class PositionDiagnosis(Diagnosis):
             status=self.status,
             error=error_words(self.file is not None),
             unit=unit,
-            before=before.whole_mrad,
-            after=self.answered.whole_mrad,
+            before=first,
+            after=last,
+            left_out=left_out,
             noise=(low_noise, high_noise),
             noise_measured=bool(self.noise.low[moves].isfinite().all()),
             closed=None if math.isnan(self.closed) else self.closed,
-            closed_ci95=None if math.isnan(self.closed) else self.closed_ci95,
+            closed_ci95=None if math.isnan(self.closed) or self.held_out else self.closed_ci95,
             joints=by_joint(
                 JointError,
                 name=self.data.robot.joint_names,
-                before=before.whole,
-                after=self.answered.whole,
+                before=self._far[0].whole,
+                after=self._far[1].whole,
                 noise=noise,
             ),
             causes=tuple(c for c in every if c.how_sure is None or c.how_sure >= LIKELY),
-            suspects=tuple(c for c in every if UNLIKELY <= (c.how_sure or 0.0) < LIKELY),
+            suspects=tuple(
+                msgspec.structs.replace(c, role="suspect")
+                for c in every
+                if UNLIKELY <= (c.how_sure or 0.0) < LIKELY
+            ),
             reason=small if self.status == "no_gap" else "" if self.file is None else plain,
             doubt=self.doubt or UNSET,
         )
@@ -236,9 +254,10 @@ class PositionDiagnosis(Diagnosis):
         run."""
         # A factor is of what was found beside a servo without the effect.
         neutral = {p.name: p.neutral for p in PARAMETERS if p.kind == "real"}
-        replace = msgspec.structs.replace
         return agreement_of(
-            (replace(f.cause, sizes=(replace(s, was=neutral.get(s.name)),)), f.replication)
+            msgspec.structs.replace(
+                f.cause, std={s.name: s.std}, file={k: x for k, x in neutral.items() if k == s.name}
+            )
             for f in self.findings
             for s in f.sizes[:1]
         )
@@ -298,7 +317,15 @@ class PositionDiagnosis(Diagnosis):
             not_testable=self.not_testable,
             known=tuple(one for one in self.known if one.names) or UNSET,
             changes=self.changes or UNSET,
-            held_out=UNSET if self.held_out is None else HeldOutRecord(*self.held_out),
+            held_out=UNSET
+            if self.held_out is None
+            else HeldOutRecord(
+                whole_mrad=self.held_out[1].whole_mrad,
+                windows_2s_mrad=self.held_out[1].windows_2s_mrad,
+                on=self.judged.on,
+                before=self.held_out[0],
+                answered=self.held_out[1],
+            ),
             nominal=tuple(s.record(j) for j, s in enumerate(self.nominal)) or UNSET,
         )
 

@@ -19,7 +19,7 @@ from torchid.position.odds import alike_rises, drawn_windows, effect_sure
 from torchid.position.payload import Loaded
 from torchid.position.problem import Problem
 from torchid.position.record import PositionFinding
-from torchid.results.replication import Replication
+from torchid.results.agreement import Replication
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, as_share
 from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95

@@ -23,7 +23,8 @@ from torchid.position.fit import (
     sensitivities,
     weights,
 )
-from torchid.results.replication import MotionScale, Replication, replication_of
+from torchid.results.agreement import MotionScale, Replication
+from torchid.results.replication import replication_of
 from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.autocorrelation import integrated_time

@@ -5,7 +5,7 @@ import math
 
 import torch
 
-from torchid.results.replication import Replication
+from torchid.results.agreement import Replication
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.bagging import Draws, bagged
 from torchid.statistics.criteria import EXPECTED, ONE_TYPE, TELLING_STD

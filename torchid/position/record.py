@@ -7,11 +7,15 @@ from typing import Annotated, Self
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.answer import Cause, DiagnosisRecord, NotTestable, Size
+from torchid.results.agreement import Replication
+from torchid.results.answer import DiagnosisRecord, NotTestable
+from torchid.results.cause import Cause, JudgedOn, Size
 from torchid.results.record import FINITE, Col, Ends, Joint, Part, Real, Rows, Values
-from torchid.results.replication import Replication
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
+
+FITTED = JudgedOn(how="fitted")
+"""Windows that effects of servos are judged on: they are fitted to them."""
 
 
 def error_words(of_file: bool) -> str:
@@ -106,25 +110,22 @@ class PositionFinding(Part, frozen=True, kw_only=True):
 
     @property
     def sizes(self) -> tuple[Size, ...]:
-        """Its numbers; of each the standard deviation as if it were a normal variable, None where
-        the interval has no end."""
-        halves = {name: (high - low) / 2 for name, (low, high) in self.ci95.items()}
-        std = {name: h / HALF_95 if math.isfinite(h) else None for name, h in halves.items()}
-        return tuple(
-            Size(
-                name=name, unit=self.unit.get(name, ""), value=value, std=std[name],
-                was=self.was.get(name),
-            )
-            for name, value in self.parameters.items()
-        )  # fmt: skip
+        """Its numbers, as the answer has them."""
+        return self.cause.sizes
 
     @property
     def cause(self) -> Cause:
-        """As the answer has it; it closes its share of the error of its joint."""
+        """As the answer has it; it closes its share of the error of its joint. Its standard
+        deviations are as if its numbers were normal variables, null where an interval has no end.
+        """
         left = self.error_with / self.error_without if self.error_without > 0 else 1.0
+        halves = {name: (high - low) / 2 for name, (low, high) in self.ci95.items()}
         return Cause(
-            effect=self.effect, joints=self.joints, sizes=self.sizes, how_sure=self.how_sure,
-            ambiguous_with=self.ambiguous_with, closes=1.0 - left, remedy=self.remedy,
+            effect=self.effect, family=self.family, joints=self.joints, how_sure=self.how_sure,
+            parameters=dict(self.parameters), unit=self.unit, file=self.was,
+            std={name: h / HALF_95 if math.isfinite(h) else None for name, h in halves.items()},
+            ambiguous_with=self.ambiguous_with, share=1.0 - left, remedy=self.remedy,
+            replication=self.replication, meaning=self.meaning, judged=FITTED,
         )  # fmt: skip
 
 
@@ -158,11 +159,15 @@ class MotionRecord(Part, frozen=True, kw_only=True):
     answered_mrad: Float[Tensor, " n"]
 
 
-class HeldOutRecord(Part, frozen=True):
-    """Errors of logs that took part in nothing, mean of the joints [mrad]."""
+class HeldOutRecord(Part, frozen=True, kw_only=True):
+    """Errors of logs that took part in nothing: of the answer, mean of the joints [mrad]; in no
+    older file: their names, and all errors of the servos before and of the answer."""
 
     whole_mrad: Real
     windows_2s_mrad: Real
+    on: tuple[str, ...] = ()
+    before: Accuracy | UnsetType = UNSET
+    answered: Accuracy | UnsetType = UNSET
 
 
 class HowFarRecord(Part, frozen=True, kw_only=True):

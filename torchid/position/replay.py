@@ -15,6 +15,7 @@ from torchid.log.model import Log
 from torchid.log.readers import each_log
 from torchid.position.data import RATE_S, STILL, WINDOW_S, tracks_of
 from torchid.position.model import ServoArm
+from torchid.position.record import Accuracy
 from torchid.results.record import Part, Record, Result, Rows
 from torchid.robot.model import error_unit
 from torchid.simulation.replay import replayed
@@ -159,18 +160,15 @@ def _side_by_side(tracks: Sequence[Tracks]) -> Tracks:
     )
 
 
-def accuracy(arm: ServoArm, log: Log, moving: Bool[Tensor, " n"]) -> tuple[float, float]:
-    """RMS position error, mean of the joints that move [mrad of the log's unit]: whole motions from
+def accuracy(arm: ServoArm, log: Log, moving: Bool[Tensor, " n"]) -> Accuracy:
+    """RMS position errors of the joints that move [mrad of the log's unit]: whole motions from
     their measured start, and windows of 2 s.
 
     Raises:
         LogError, TorchidError: as `replay`.
     """
-    whole, short = (
-        float(replay(arm, log, windows=seconds).error[:, moving].mean())
-        for seconds in (None, WINDOW_S)
-    )
-    return whole, short
+    errors = (replay(arm, log, windows=seconds).error.mean(0) for seconds in (None, WINDOW_S))
+    return Accuracy.of_joints(*(x.masked_fill(~moving, torch.nan) for x in errors))
 
 
 def _velocities(q: Tensor, tracks: Tracks, windows: Windows) -> Tensor:

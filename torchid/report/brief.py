@@ -14,7 +14,8 @@ from rich.text import Text
 from torchid.errors import visible
 from torchid.report.cautions import cautions
 from torchid.report.page.answer import first_steps
-from torchid.results.answer import UNCHANGED, Answer, Cause, JointRow, cause_cells, ordered
+from torchid.results.answer import UNCHANGED, Answer, JointRow, cause_cells, ordered
+from torchid.results.cause import Cause
 from torchid.results.words import count, digits, span, sure
 from torchid.statistics.criteria import EXCESS
 
@@ -92,8 +93,8 @@ class Screen:
         answer, rows = self.answer, self.answer.joint_rows()
         yield Text(visible(answer.headline), "bold")
         if rows:
-            band = f" below {digits(self.band)} Hz" if self.band else ""
-            yield Text(f"{answer.title}{band}, on data that was not fitted", "italic")
+            band = f", below {digits(self.band)} Hz" if self.band else ""
+            yield Text(visible(f"{answer.title}{band}"), "italic")
             yield self._table(rows[: detail.joints], detail, width)
             if rest := rows[detail.joints :]:
                 left = max((r.error.after for r in rest if not r.never_moves), default=0.0)
@@ -140,7 +141,7 @@ class Screen:
         if may := _may(row, detail):
             return may
         shared = (c for same in self.answer.shared() for c in same)
-        own = any(row.error.joint in c.joints or not c.joints for c in shared)
+        own = any(row.error.joint in c.at or not c.at for c in shared)
         if own and row.error.after < UNCHANGED * row.error.before:
             return "as listed below"
         if row.error.after <= max(row.error.noise):
@@ -150,7 +151,7 @@ class Screen:
 
 def _causes(row: JointRow, detail: Detail) -> list[str]:
     """Its causes, those that remove most first; of those beyond a few the names, or how many."""
-    causes = sorted(row.causes, key=lambda c: -c.closes)
+    causes = sorted(row.causes, key=lambda c: -c.share)
     shown = causes[: detail.causes]
     texts = [_named(c, detail) for c in shown]
     if more := [c.name for c in causes[detail.causes :]]:
@@ -204,30 +205,27 @@ def caution_lines(warnings: Sequence[str], width: int) -> Iterator[Text]:
         yield Text(f"! {len(every) - shown} more cautions: --verbose, or torchid explain")
 
 
-def model_words(answer: Answer, model: str | None, given: str, held_out: Sequence[str]) -> str:
-    """Which model to use next, and how much better it is on motion that took part in no fit.
+def model_words(answer: Answer, model: str | None, given: str) -> str:
+    """Which model to use next, and how much better it is on the data that judge it.
 
     Args:
         answer: of a diagnosis.
         model: file of the corrected model, or None where it was not kept.
         given: the robot's file or name.
-        held_out: names of logs that took part in nothing; empty where each was left out in turn.
     """
+    before, after = answer.before, answer.after
     if answer.status in ("no_gap", "negligible"):
-        size, noise = f"{digits(answer.before)} {answer.unit}", span(answer.noise)
-        if answer.noise_measured and answer.before <= math.sqrt(EXCESS) * answer.noise[1]:
+        size, noise = before.size, span(answer.noise)
+        if answer.noise_measured and before.value <= math.sqrt(EXCESS) * answer.noise[1]:
             return f"Use {given} as it is: its error of {size} is noise ({noise})."
         return f"This log gives no better model than {given}, which errs {size} (noise {noise})."
-    if not answer.causes or not answer.after < answer.before:
+    if not answer.causes or answer.fails or not after.value < before.value:
         errs = f"{given} errs" if answer.given == "as given" else "a plain servo errs"
         return (
-            f"This log gives no model that is surely better: {errs} "
-            f"{digits(answer.before)} {answer.unit}, and no cause of it is sure."
+            f"This log gives no model that is surely better: {errs} {before.size} {before.words}, "
+            + ("and no cause of it is sure." if not answer.causes else f"corrected {after.size}.")
         )
-    on = f"on {', '.join(held_out)}" if held_out else "on motions left out of the fit"
-    change = (
-        f"errs {digits(answer.after)} {answer.unit} {on}, {answer.given} {digits(answer.before)}"
-    )
+    change = f"errs {after.size} {after.words}, {answer.given} {digits(before.value)}"
     if model is None:
         return f"The corrected model {change}. --save-model corrected.yaml keeps it."
     target = "mjcf" if answer.of_positions else "urdf"  # a URDF has no servos

@@ -6,14 +6,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from torchid.gap.record import FoundEffect, GapRecord, UnnamedEffect
-from torchid.position.record import PositionFinding, PositionRecord
+from torchid.gap.record import GapRecord
+from torchid.position.record import PositionRecord
 from torchid.report.cautions import number_ranges
 from torchid.report.panels import Picture
 from torchid.report.table import Table
-from torchid.results.agreement import by_cause
-from torchid.results.answer import Answer, Cause, NotTestable, named_size
-from torchid.results.replication import repeat_words
+from torchid.results.agreement import by_cause, repeat_words
+from torchid.results.answer import Answer, NotTestable
+from torchid.results.cause import LINK, Cause, remedy_of
 from torchid.results.words import (
     effect_words,
     joints_words,
@@ -24,7 +24,6 @@ from torchid.results.words import (
     unit_behind,
     unit_words,
 )
-from torchid.robot.model import Robot
 from torchid.statistics.proportion import HALF_95
 
 MOST_SIZES = 12
@@ -63,20 +62,16 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
         record: with an answer.
     """
     assert isinstance(record.answer, Answer)
-    small = record.small if isinstance(record, GapRecord) else ()
-    findings = {(f.effect, _joints(f)): f for f in (*record.which, *small)}
     rows = []
     for cause in (*record.answer.causes, *record.answer.small):
-        finding = findings.get((cause.effect, cause.joints))
-        removes = "-" if math.isnan(cause.closes) else percent(cause.closes)
+        removes = "-" if math.isnan(cause.share) else percent(cause.share)
         removes += "" if math.isnan(cause.alone) else f", alone {percent(cause.alone)}"
-        if isinstance(finding, UnnamedEffect):
-            removes = f"small: {finding.closes_rms:.2g} RMS"
+        if cause.role == "small":
+            removes = f"small: {cause.closes_rms:.2g} RMS"
         others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
-        joints = number_list(cause.joints, "all")
-        again = repeat_words(None if finding is None else finding.replication)
-        values = _values(cause, finding)
-        rows.append((cause.name, joints, values, others, removes, sure(cause.how_sure), again))
+        again = repeat_words(cause.replication)
+        cells = (number_list(cause.at, "all"), _values(cause), others, removes)
+        rows.append((cause.name, *cells, sure(cause.how_sure), again))
     columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
     note = (
         "or: could also be; removes: share of the error that this cause takes away, the mean over "
@@ -86,40 +81,26 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
 
 
-def _joints(finding: FoundEffect | UnnamedEffect | PositionFinding) -> tuple[int, ...]:
-    return finding.located if isinstance(finding, FoundEffect) else finding.joints
-
-
-def _values(cause: Cause, finding: FoundEffect | UnnamedEffect | PositionFinding | None) -> str:
+def _values(cause: Cause) -> str:
     """Numbers of a cause, a line each, and its shapes in brackets."""
     values = []
     for size in sorted(cause.sizes, key=lambda s: not s.determined)[:MOST_SIZES]:
-        unsure = size.std is not None and abs(size.value) < HALF_95 * size.std
-        words = named_size(size) if size.determined else size.name
+        change = abs(size.value - (size.was or 0.0))
+        unsure = size.std is not None and change < HALF_95 * size.std
+        words = size.named if size.determined else size.name
         values.append(words + (", not determined" if unsure else ""))
     if not values:
-        values = ["see the corrected model" if cause.effect == "link_inertia" else "-"]
+        values = ["see the corrected model" if cause.effect == LINK else "-"]
     values += ["..."] if len(cause.sizes) > MOST_SIZES else []
-    if isinstance(finding, FoundEffect) and finding.shape:
-        sizes = ((finding.parameters[name], name) for name in finding.shape)
+    if cause.shape and cause.role != "small":
+        sizes = ((cause.parameters[name], name) for name in cause.shape)
         numbers = [
-            f"{name} = {x:.4g} {unit_behind(finding.unit[name])}".rstrip()
+            f"{name} = {x:.4g} {unit_behind(cause.unit[name])}".rstrip()
             for x, name in sizes
             if isinstance(x, int | float)
         ]
         values.append(f"({', '.join(numbers)})")
     return "\n".join(values)
-
-
-def _corrects(finding: FoundEffect | PositionFinding, robot: Robot | None) -> bool:
-    """Whether the model has this effect at this place already, so that values are changes of it."""
-    if robot is None or not isinstance(finding, FoundEffect) or finding.effect == "link_inertia":
-        return False
-    joints = [j + 1 for j in finding.located]
-    return any(
-        r.get("effect") == finding.effect and (not joints or r.get("joint") in joints)
-        for r in robot.effects
-    )
 
 
 def agreement_table(record: GapRecord | PositionRecord) -> Table:
@@ -144,16 +125,13 @@ def agreement_table(record: GapRecord | PositionRecord) -> Table:
 
 def meaning_table(record: GapRecord | PositionRecord) -> Table:
     """What each effect means and what to do; an effect on several joints once."""
+    assert isinstance(record.answer, Answer)
     rows = []
-    for name in dict.fromkeys(f.effect for f in record.which):
-        same = [f for f in record.which if f.effect == name]
-        remedy, notes = same[0].remedy, [same[0].meaning]
-        for f in same:
-            notes += [f"{joints_words(_joints(f))}: {x}" for x in getattr(f, "notes", ())]
-        if any(_corrects(f, getattr(record, "model", None)) for f in same):
-            remedy += " Where the model has it, the value is a change of the model's."
-        words = "inertial parameters" if name == "link_inertia" else effect_words(name)
-        rows.append((words, "\n".join(notes), remedy))
+    for name in dict.fromkeys(c.effect for c in record.answer.causes if c.meaning):
+        same = [c for c in record.answer.causes if c.effect == name]
+        notes = [f"{joints_words(c.at)}: {x}" for c in same for x in c.notes]
+        words = "inertial parameters" if name == LINK else effect_words(name)
+        rows.append((words, "\n".join([same[0].meaning, *notes]), remedy_of(same)))
     columns = ("effect", "what it means", "what to do")
     return Table("what it means, and what to do", columns, rows, "lpp")
 

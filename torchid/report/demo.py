@@ -1,11 +1,11 @@
 """What `torchid demo` shows."""
 
 from torchid.doctor.examine import conclusion
-from torchid.gap.diagnosis import Finding
 from torchid.report.brief import Screen
 from torchid.report.identification import verdict
 from torchid.report.table import Report, Table
-from torchid.results.words import effect_words, measure, sure
+from torchid.results.cause import Cause
+from torchid.results.words import effect_words, sure
 from torchid.withheld.demo import Demo, Files
 
 
@@ -48,7 +48,7 @@ def opened_table(demo: Demo) -> Table:
     ]
     for f in demo.others:
         joint = f.joints[0] + 1 if len(f.joints) == 1 else None
-        rows.append((_place(f.effect.name, joint), "not planted", "", *_found(f)))
+        rows.append((_place(f.effect, joint), "not planted", "", *_found(f)))
     columns = ("cause", "was", "planted", "diagnosis", "sure")
     title = f"{demo.files.key} opened (SHA-256 {demo.files.sealed[:16]}..)"
     return Table(title, columns, rows, "pllll")
@@ -58,8 +58,7 @@ def _place(effect: str, joint: int | None) -> str:
     return effect_words(effect) + ("" if joint is None else f" on joint {joint}")
 
 
-def _found(finding: Finding | None) -> tuple[str, str]:
-    if finding is None:
+def _found(cause: Cause | None) -> tuple[str, str]:
+    if cause is None:
         return "not named", ""
-    first = finding.effect.coefficients[0]
-    return measure(finding.values[0], finding.std[0], first.unit), sure(finding.how_sure)
+    return cause.sizes[0].words if cause.sizes else "", sure(cause.how_sure)

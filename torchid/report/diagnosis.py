@@ -27,7 +27,8 @@ from torchid.report.panels import Figure, Figures, Picture
 from torchid.report.skeleton import PHONE, skeleton_of
 from torchid.report.table import Code, Origin, Page, Report, Section, Table
 from torchid.results.agreement import agreement, disagreement
-from torchid.results.answer import MOST_SIZES, Answer, Diagnosis, DiagnosisRecord, named_size
+from torchid.results.answer import Answer, Diagnosis, DiagnosisRecord
+from torchid.results.cause import MOST_SIZES
 from torchid.results.words import count, digits, percent, span, sure
 
 STATUS = {
@@ -45,8 +46,8 @@ STATUS = {
 def suspects_table(answer: Answer) -> Table:
     """The likeliest causes that are not sure enough for a name."""
     rows = [
-        (f"{c.name} {c.place}".strip(), ", ".join(map(named_size, c.sizes[:MOST_SIZES])),
-         sure(c.how_sure), "" if math.isnan(c.closes) else percent(c.closes), c.remedy)
+        (f"{c.name} {c.place}".strip(), ", ".join(s.named for s in c.sizes[:MOST_SIZES]),
+         sure(c.how_sure), "" if math.isnan(c.share) else percent(c.share), c.remedy)
         for c in answer.suspects
     ]  # fmt: skip
     columns = ("suspect", "value ± std", "sure", "in the model", "what would settle it")
@@ -133,13 +134,15 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
     unit = answer.unit
     out = [
         ("Verdict", STATUS[answer.status]),
-        ("Error before", f"{digits(answer.before)} {unit}"),
-        ("Error after", f"{digits(answer.after)} {unit}"),
+        ("Error before", answer.before.size),
+        ("Error after", answer.after.size),
         ("Removed", percent(answer.less)),
+        ("Judged", answer.after.whole),
         ("Noise", f"{span(answer.noise)} {unit}"),
     ]
     if isinstance(result, PositionDiagnosis):
-        return [*out, ("Command alone", f"{digits(result.commanded.whole_mrad)} {unit}")]
+        alone = f"{digits(result.commanded.whole_mrad)} {unit}"
+        return [*out, ("Command alone, on motions left out", alone)]
     return out
 
 
@@ -147,7 +150,7 @@ def which_model(result: TorqueDiagnosis | PositionDiagnosis, model: str = "") ->
     """The model as given, or the corrected one, as `model` says it where it does, and what corrects
     the simulator's file."""
     answer = result.answer
-    text = model or model_words(answer, None, "the model as given", ())
+    text = model or model_words(answer, None, "the model as given")
     if not answer.causes or isinstance(result, PositionDiagnosis):
         return text
     file = "`torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."

@@ -159,12 +159,10 @@ def _bodies(robot: Robot, nominal: Robot) -> Table:
 
 def report_of_randomisation(done: Randomisation, files: Sequence[str]) -> Report:
     """What is shown of draws, whose ranges these files hold."""
-    others = sum(one.draws for one in done.explanations[1:])
-    beside = f", {others} of them of explanations that the log cannot separate" if others else ""
     servos = isinstance(done.draws, Servos)
     of, what = ("the servos of ", "numbers") if servos else ("", "fields")
     return Report(
-        verdict=f"{len(done)} draws of {of}'{done.name}'{beside}; {len(done.ranges)} {what} "
+        verdict=f"{len(done)} draws of {of}'{done.name}'; {len(done.ranges)} {what} "
         f"differ, and {100 * done.level:g} % of the draws lie within each range.",
         parts=[
             table_of("ranges", done.ranges, "field name low high unit why"),

@@ -17,7 +17,6 @@ from torchid.results.words import (
     digits,
     effect_words,
     interval,
-    joints_words,
     listed,
     percent,
     regime_words,
@@ -76,16 +75,8 @@ def joint_table(record: GapRecord) -> Table:
 
 
 def _regimes(record: GapRecord, joint: int) -> str:
-    """What holds more than its share of a joint's gap, and transients with their times."""
-    phrases = []
-    for r in clear_regimes(record, joint)[:_MOST_REGIMES]:
-        starts: dict[str, list[str]] = {}
-        for window in r.times[:_MOST_REGIMES]:
-            starts.setdefault(window.trajectory, []).append(f"{window.from_s:.1f}")
-        places = "; ".join(f"{', '.join(at)} s of {name}" for name, at in starts.items())
-        more = " ..." if len(r.times) > _MOST_REGIMES else ""
-        phrases.append(excess_words(r) + (f" at {places}{more}" if places else ""))
-    return ", ".join(phrases) or "-"
+    """What holds more than its share of a joint's gap."""
+    return ", ".join(map(excess_words, clear_regimes(record, joint)[:_MOST_REGIMES])) or "-"
 
 
 def budget_words(record: GapRecord) -> str:
@@ -133,7 +124,7 @@ def remarks(record: GapRecord) -> list[str]:
     if record.knowledge is not None:
         out += [f"{note[0].upper()}{note[1:]}." for note in record.knowledge.notes]
     for one in record.which:
-        place = f" on {joints_words(one.located)}" if one.located else ""
+        place = f" {one.place}" if one.place else ""
         name = effect_words(one.effect)
         out += [f"{name[0].upper()}{name[1:]}{place}: {note}." for note in one.notes]
     return out

@@ -122,8 +122,8 @@ def _pose(robot: Robot, q: Float[Tensor, "T n"]) -> tuple[np.ndarray, list[tuple
 def _labels(robot: Robot, answer: Answer) -> dict[int, list[str]]:
     """Lines beside each joint: its name with its errors, then its causes, the largest first."""
     causes: dict[int, list[str]] = {j: [] for j in range(robot.n)}
-    for cause in sorted(answer.causes, key=lambda c: -c.closes):
-        own: Sequence[int] = cause.joints
+    for cause in sorted(answer.causes, key=lambda c: -c.share):
+        own: Sequence[int] = cause.at
         if cause.effect == "link_inertia":  # the joints that move links, or carry them nearest
             own = [robot.drives[k].coordinate if k < robot.n_links else robot.n - 1 for k in own]
         for j in own:

@@ -23,8 +23,9 @@ from torchid.design.columns import SMOOTHED, Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import atomic_write
+from torchid.gap.describe.where import regime_instants
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.localise.regimes import regime_instants
+from torchid.gap.told import valued
 from torchid.log.filtering import low_passed
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.results.answer import Diagnosis
@@ -96,16 +97,7 @@ def joint_views(diagnosis: Diagnosis) -> tuple[JointView, ...]:
         for j, name in enumerate(robot.joint_names):
             at = (kept, j)
             clear = [r for r in diagnosis.regimes if r.joint == j and r.p < CLEAR and r.excess > 0]
-            regimes: dict[str, Tensor] = {
-                r.regime: places[r.regime][at] for r in clear if r.regime in places
-            }
-            for r in clear:
-                if r.times:  # windows of a transient, by the name of their trajectory
-                    inside = torch.zeros_like(kept)
-                    for window in r.times:
-                        if window.trajectory == trace.name:
-                            inside |= (since >= window.from_s) & (since <= window.to_s)
-                    regimes[r.regime] = inside[kept]
+            regimes = {str(r.regime): places[r.regime][at] for r in clear}
             out.append(
                 JointView(
                     trajectory=trace.name,
@@ -153,7 +145,7 @@ def _positions(diagnosis: PositionDiagnosis) -> tuple[JointView, ...]:
 def _effects(diagnosis: TorqueDiagnosis, trace: Trace) -> dict[str, Float[Tensor, "T n"]]:
     """What the correction adds to the model as given along a trajectory, by name."""
     motion, given = trace.motion, Model.of(diagnosis.robot)
-    events = tuple(f.valued for f in diagnosis.findings if f.effect.name in EVENTS)
+    events = tuple(valued(c, diagnosis.robot) for c in diagnosis.which if c.effect in EVENTS)
     answered = Model.of(diagnosis.corrected)
     answered = Model(answered.robot, (*answered.effects, *events))
     added: dict[str, Tensor] = {}

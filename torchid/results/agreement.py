@@ -15,6 +15,50 @@ Verdict = Literal["agrees", "differs", "cannot tell"]
 """On a run, beside most of the others."""
 
 
+class MotionScale(Part, frozen=True):
+    """By which factor a part of the data wants an effect, 1 being as it was fitted to all.
+
+    Attributes:
+        trajectory, from_s, to_s: which part.
+        scale, std: the factor.
+    """
+
+    trajectory: str
+    from_s: float
+    to_s: float
+    scale: Real
+    std: float
+
+
+class Replication(Part, frozen=True, kw_only=True):
+    """Whether an effect is the same in every motion.
+
+    Attributes:
+        motions: part by part.
+        mean: of the parts that can tell.
+        spread: standard deviation between these parts, beyond that of each.
+        next_std: of the factor in the next part.
+        repeats, asked: in how many of the trajectories that can tell it has the same sign and size;
+            of the parts of a log of one trajectory.
+    """
+
+    motions: tuple[MotionScale, ...]
+    mean: Real
+    spread: Real
+    next_std: Real
+    repeats: int
+    asked: int
+
+
+def repeat_words(found: Replication | None) -> str:
+    """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
+    it; of a log of one motion its stretches."""
+    if found is None:
+        return "-"
+    one = len({m.trajectory for m in found.motions}) == 1
+    return f"{found.repeats} of {found.asked}{' stretches' if one else ''}"
+
+
 class RunValue(Part, frozen=True, kw_only=True):
     """A cause's number as one run alone wants it, all else being as all runs together want it.
 

@@ -6,7 +6,6 @@ positions under commands give mrad of the log's unit.
 """
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -18,28 +17,33 @@ from msgspec import UNSET, UnsetType
 
 from torchid.notebooks import html_table
 from torchid.results.agreement import RunValue
+from torchid.results.cause import (
+    LINK,
+    Cause,
+    Error,
+    common_name,
+    remedy_of,
+    values_of,
+)
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
-    BRANCHES,
     digits,
     effect_words,
     joint_labels,
     joints_words,
     listed,
-    measure,
     percent,
     span,
     sure,
-    unit_behind,
 )
 
 MOST = 0.5
 """Share of the joints above which a cause that they have in common is one row."""
 LONGEST = 160
 """Characters of a headline: two lines of 80."""
-MOST_SIZES = 3
-"""Numbers of a cause that are shown in a table."""
+FAILS = 2.0
+"""Error of held-out data over that of motions left out in turn, from which on it is said first."""
 UNCHANGED = 0.99
 """Share of the error that is left, from which on the causes have closed nothing."""
 
@@ -52,129 +56,11 @@ KINDS = ("Next time", "Caution")
 COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 
 
-class Size(Part, frozen=True, kw_only=True):
-    """One number of a cause.
-
-    Attributes:
-        name, unit: of the number; unit 1 of a plain number.
-        value: as found.
-        std: standard deviation; None where the data do not determine it.
-        was: value that the model knew before; None of what is new.
-    """
-
-    name: str
-    unit: str
-    value: Real
-    std: float | None = None
-    was: float | None = None
-
-    @property
-    def rounded(self) -> float:
-        """Its value with as many digits as its standard deviation leaves, two or three."""
-        digits = 3 if self.std is None or self.std < 0.02 * abs(self.value) else 2
-        return float(f"{self.value:.{digits}g}")
-
-    @property
-    def determined(self) -> bool:
-        """Whether the data say more than its order of magnitude."""
-        return self.std is None or self.std < abs(self.value)
-
-
-class Cause(Part, frozen=True, kw_only=True):
-    """One cause of the error.
-
-    Attributes:
-        effect: its name, as `torchid effects` lists it; `link_inertia` of inertial parameters.
-        branch: `friction`, say, where no more than that is sure; then it is the likeliest of these.
-        joints: at which it acts; links, of inertial parameters; none: the whole arm.
-        sizes: its numbers, that which makes most of its torque first.
-        how_sure: probability of it, or of the set with `ambiguous_with`; None where none is known.
-        ambiguous_with: effects that this log cannot separate from it.
-        closes: share of the error that it takes away, the mean over all orders of the causes; the
-            shares of all causes add up [1].
-        alone: the share that it takes away by itself [1].
-        remedy: what to do, one sentence.
-    """
-
-    effect: str
-    branch: str = ""
-    joints: tuple[Joint, ...]
-    sizes: tuple[Size, ...] = ()
-    how_sure: float | None = None
-    ambiguous_with: tuple[str, ...] = ()
-    closes: Real = math.nan
-    alone: Real = math.nan
-    remedy: str = ""
-
-    @property
-    def changed(self) -> bool:
-        """Whether the model had it already, with other numbers."""
-        return any(s.was is not None for s in self.sizes)
-
-    @property
-    def name(self) -> str:
-        """In words."""
-        if self.branch:
-            likely = msgspec.structs.replace(self, branch="").name
-            return f"{BRANCHES[self.branch]} (likely {likely})"
-        if self.effect != "link_inertia":
-            return effect_words(self.effect)
-        links = listed(str(k + 1) for k in self.joints)
-        return f"inertia of link {links}" if self.joints else "inertial parameters"
-
-    def values(self, std: bool = True) -> str:
-        """Its numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = -1.0 ± 0.2 N m/rad`, those that
-        the model had with other values alone; where the data determine none of them, or bodies have
-        none, how much of the error it removes; and of a load that its mass is not known. Without
-        standard deviations the first alone."""
-        sizes = [s for s in self.sizes if s.was is not None or not self.changed]
-        sizes = [s for s in sizes if s.determined]
-        massless = self.effect == "payload" and any(not s.determined for s in self.sizes[:1])
-        end = "; mass not known" if massless else ""
-        sizes = sizes[:1] if self.effect == "payload" else sizes[:MOST_SIZES]
-        if not sizes:
-            return "" if math.isnan(self.closes) else f"{percent(self.closes)} of the error{end}"
-        if not std:
-            sizes = [msgspec.structs.replace(sizes[0], std=None, value=sizes[0].rounded)]
-        return ", ".join(map(self.in_words, sizes)) + end
-
-    def in_words(self, size: Size) -> str:
-        """One of its numbers, with its name where it has several."""
-        return size_words(size) if len(self.sizes) == 1 else named_size(size)
-
-    @property
-    def rivals(self) -> str:
-        """`, or Stribeck friction`: what the log cannot separate from it."""
-        others = [effect_words(name) for name in self.ambiguous_with]
-        more = f" or {len(others) - 1} others" if len(others) > 2 else ""
-        return f", or {others[0] if more else listed(others, 'or')}{more}" if others else ""
-
-    @property
-    def place(self) -> str:
-        """`on joint 2`; nothing of the whole arm, or where the name has it."""
-        named = self.effect == "link_inertia" or not self.joints
-        return "" if named else f"on {joints_words(self.joints)}"
-
-
 REMEDY = (
     "Give the simulator each joint's friction over speed; `torchid export` writes the nearest "
     "fields of its file."
 )
 """Of a friction law."""
-
-
-class LawCause(Cause, frozen=True, kw_only=True):
-    """Several causes of one joint that are its friction, as one.
-
-    Attributes:
-        law: of the joint.
-    """
-
-    law: FrictionLaw
-
-    def values(self, std: bool = True) -> str:
-        """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`; short of room the middle speed alone."""
-        return self.law.words(std)
 
 
 class NotTestable(Part, frozen=True):
@@ -203,7 +89,7 @@ class NotTestable(Part, frozen=True):
 
 
 class JointError(Part, frozen=True, kw_only=True):
-    """The error of one joint, on data that took part in no fit [the answer's unit].
+    """The error of one joint, on the data of the answer's errors [the answer's unit].
 
     Attributes:
         joint, name: which.
@@ -264,8 +150,11 @@ class Answer(Part, frozen=True, kw_only=True):
         error: what it is: `the gap`, `the error of the file's servos`, or of a plain servo, which
             the file has none of.
         unit: of all errors.
-        before, after, noise: of the whole arm: the root of the sum of the joints' mean squares; of
-            positions the mean of the joints that move.
+        before, after: errors of the whole arm, and on which data all errors of the answer are: the
+            root of the sum of the joints' mean squares; of positions the mean of the joints that
+            move.
+        left_out: the error after on motions left out in turn, where others were held out.
+        noise: lowest and highest estimate of what no model closes [`unit`].
         closed, closed_ci95: share of the error beyond noise that the causes close; None where that
             cannot be said.
         noise_measured: whether repeats of a motion tell the noise: only then can all of the error
@@ -285,8 +174,9 @@ class Answer(Part, frozen=True, kw_only=True):
     status: str
     error: str
     unit: str
-    before: Real
-    after: Real
+    before: Error
+    after: Error
+    left_out: Error | None = None
     noise: Ends
     closed: float | None
     closed_ci95: tuple[float, float] | None = None
@@ -312,8 +202,9 @@ class Answer(Part, frozen=True, kw_only=True):
         """What is known while a search goes on: the error before and with the causes, of the whole
         arm and of each joint with its name."""
         nothing = (math.nan, math.nan)
+        first, last = (Error(value=x, unit=unit, how="fitted") for x in whole)
         return cls(
-            status="searching", error=error, unit=unit, before=whole[0], after=whole[1],
+            status="searching", error=error, unit=unit, before=first, after=last,
             noise=nothing, closed=None, causes=tuple(causes),
             joints=tuple(
                 JointError(joint=j, name=name, before=before, after=after, noise=nothing)
@@ -324,7 +215,19 @@ class Answer(Part, frozen=True, kw_only=True):
     @property
     def less(self) -> float:
         """Share of the error that the causes take away, 1 - after / before; NaN of no error."""
-        return 1.0 - self.after / self.before if self.before > 0 else math.nan
+        before, after = self.before.value, self.after.value
+        return 1.0 - after / before if before > 0 else math.nan
+
+    @property
+    def fails(self) -> str:
+        """That the answer does not hold on data that were held out; empty where it does."""
+        after, left_out = self.after, self.left_out
+        if left_out is None or not after.value > FAILS * left_out.value or not self.causes:
+            return ""
+        return (
+            f"The answer fails {after.words}: there it errs {after.size}, {self.given} "
+            f"{self.before.size}; {left_out.words} it erred {left_out.size}."
+        )
 
     @property
     def of_positions(self) -> bool:
@@ -334,13 +237,16 @@ class Answer(Part, frozen=True, kw_only=True):
     @property
     def headline(self) -> str:
         """The answer in at most two lines of 80 characters, after what speaks against the log."""
+        if self.fails:
+            return _cut(self.fails, LONGEST)
         if not self.doubt:
             return self._headline(LONGEST)
         return f"{self.doubt} {self._headline(LONGEST - len(self.doubt) - 1)}"
 
     def _headline(self, longest: int) -> str:
-        change = f"{digits(self.before)} -> {digits(self.after)} {self.unit}"
-        size = f"{digits(self.before)} {self.unit}"
+        before, after = self.before, self.after
+        change = f"{digits(before.value)} -> {after.size} {after.words}"
+        size, unchanged = before.size, after.value > UNCHANGED * before.value
         noise = span(self.noise)
         if self.status == "searching":
             return self._so_far(longest)
@@ -361,9 +267,9 @@ class Answer(Part, frozen=True, kw_only=True):
                 text = f"{why} Most likely: {self.suspect_words(self.suspects[0])}."
             return _cut(text, longest)
         rest = ""
-        if self.closed is None or self.after > UNCHANGED * self.before:
-            verb, end = ("fits", "fit"), f"{self.error}; on new data: {change}."
-            if self.after > UNCHANGED * self.before:
+        if self.closed is None or unchanged:
+            verb, end = ("fits", "fit"), f"{self.error}: {change}."
+            if unchanged:
                 rest = " Nothing is confirmed."
         else:
             verb, end = ("lowers", "lower"), f"{self.error}: {change}, {percent(self.less)} less."
@@ -379,13 +285,14 @@ class Answer(Part, frozen=True, kw_only=True):
         # The two largest causes with their numbers; fewer words where these do not fit.
         groups = list(self.groups(self.entries))
         for most, values, rivals in (
-            (2, True, 2), (2, False, 1), (1, True, 2), (1, False, 1), (1, False, 0)
+            (2, 2, 2), (2, 1, 1), (2, 0, 1), (1, 1, 2), (1, 0, 1), (1, 0, 0)
         ):  # fmt: skip
-            names = [self._named(same, values, rivals) for same in groups[:most]]
+            shown = enumerate(groups[:most])
+            names = [self._named(same, k < values, rivals) for k, same in shown]
             more = len(groups) - most
             names += [f"{more} more"] if more > 0 else []
             text = listed(names)
-            many = len(names) > 1 or (len(groups[0]) > 1 and groups[0][0].effect == "link_inertia")
+            many = len(names) > 1 or (len(groups[0]) > 1 and groups[0][0].effect == LINK)
             said_all = f"{text[:1].upper()}{text[1:]} {verb[many]} {end}{rest}"
             if len(said_all) <= longest:
                 return said_all
@@ -396,19 +303,19 @@ class Answer(Part, frozen=True, kw_only=True):
         moving = [j for j in self.joints if j.before == j.before]
         worst = sorted(moving, key=lambda j: -j.before)[:2]
         joints = listed(f"joint {j.joint + 1} ({digits(j.before)})" for j in worst)
-        text = f"So far: {self.error} is {digits(self.before)} {self.unit}, largest on {joints}."
+        text = f"So far: {self.error} is {self.before.size}, largest on {joints}."
         if self.causes:
             names = [
-                same[0].name if same[0].effect == "link_inertia" else
+                same[0].name if same[0].effect == LINK else
                 f"{same[0].name} ({self.where(same)})"
                 for same in self.groups(self.causes)
             ]  # fmt: skip
-            text += f" Likeliest: {listed(names, most=3)}; {digits(self.after)} {self.unit} remain."
+            text += f" Likeliest: {listed(names, most=3)}; {self.after.size} remain."
         return _cut(text, 2 * longest)
 
     def suspect_words(self, cause: Cause) -> str:
         """`viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)`."""
-        sizes = [cause.in_words(s) for s in cause.sizes[:1] if s.determined]
+        sizes = [cause.in_words(s) for s in cause.known[:1]]
         inner = ", ".join([*sizes, sure(cause.how_sure)])
         return f"{cause.name} {cause.place} ({inner})".replace("  ", " ")
 
@@ -418,7 +325,7 @@ class Answer(Part, frozen=True, kw_only=True):
         laws = {law.joint: law for law in self.friction}
         own: dict[Joint, list[Cause]] = {}
         for cause in self.causes:
-            joint = cause.joints[0] if len(cause.joints) == 1 else -1
+            joint = cause.at[0] if len(cause.at) == 1 else -1
             if joint in laws and laws[joint].has(cause.effect):
                 own.setdefault(joint, []).append(cause)
         several = {
@@ -428,36 +335,39 @@ class Answer(Part, frozen=True, kw_only=True):
         }
         if not several:
             return self.causes
-        out = [c for c in self.causes if not any(c in several.get(j, ()) for j in c.joints[:1])]
+        out = [c for c in self.causes if not any(c in several.get(j, ()) for j in c.at[:1])]
         for joint, causes in several.items():
-            law, whole = laws[joint], laws[joint].unnamed + sum(c.closes for c in causes)
-            one = LawCause(
-                effect="friction", joints=(joint,), how_sure=law.how_sure, closes=whole,
+            law, whole = laws[joint], laws[joint].unnamed + sum(c.share for c in causes)
+            one = Cause(
+                effect="friction", joints=(joint,), how_sure=law.how_sure, share=whole,
                 remedy=REMEDY, law=law,
             )  # fmt: skip
             out.append(one)
-        return tuple(sorted(out, key=lambda c: 0.0 if math.isnan(c.closes) else -c.closes))
+        return tuple(sorted(out, key=lambda c: 0.0 if math.isnan(c.share) else -c.share))
 
     def groups(self, causes: Sequence[Cause]) -> Iterator[list[Cause]]:
         """Causes of one name with one set of rivals together, in the order of what they close:
         those that are new, and those that the model had with other numbers."""
         kinds = dict.fromkeys(map(_kind, causes))
         for kind in kinds:
-            yield sorted((c for c in causes if _kind(c) == kind), key=lambda c: c.joints)
+            yield sorted((c for c in causes if _kind(c) == kind), key=lambda c: c.at)
 
     def _named(self, same: Sequence[Cause], values: bool, rivals: int) -> str:
         """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`, with so many rivals."""
         first = same[0]
-        if first.effect == "link_inertia":
-            joints = tuple(j for c in same for j in c.joints)
+        if first.effect == LINK:
+            joints = tuple(j for c in same for j in c.at)
             text = Cause(effect=first.effect, joints=joints).name
         else:
-            place = f" on {self.where(same)}" if any(c.joints for c in same) else ""
-            text = ("changed " if first.changed else "") + common_name(first, same) + place
-        known = [s for s in first.sizes if s.determined]
-        inner = []
-        if values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
-            inner.append(size_words(known[0]))
+            place = f" on {self.where(same)}" if any(c.at for c in same) else ""
+            text = common_name(first, same) + place
+        known, inner = first.known, []
+        if values and len(same) > 1 and first.changed and len(known) == 1:
+            inner.append(values_of(same))
+        elif values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
+            inner.append(known[0].words)
+        if first.changed and not inner:
+            text = f"changed {text}"
         others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
         if others and rivals:
             inner.append(f"or {listed(others, 'or', most=rivals)}")
@@ -467,8 +377,8 @@ class Answer(Part, frozen=True, kw_only=True):
         """Causes that most joints have, those of one name together; and each cause that is not of
         one joint alone. Friction laws are each joint's own."""
         out: list[tuple[Cause, ...]] = []
-        for same in self.groups([c for c in self.entries if not isinstance(c, LawCause)]):
-            local = [c for c in same if len(c.joints) == 1 and c.effect != "link_inertia"]
+        for same in self.groups([c for c in self.entries if c.law is UNSET]):
+            local = [c for c in same if len(c.at) == 1 and c.effect != LINK]
             many = len(local) > max(1.0, MOST * len(self.joints))
             out += [tuple(local)] if many else []
             out += [(c,) for c in same if not any(c is x for x in local)]
@@ -480,7 +390,7 @@ class Answer(Part, frozen=True, kw_only=True):
         own = [c for c in self.entries if all(c is not x for x in apart)]
 
         def on(joint: Joint, causes: Iterable[Cause]) -> tuple[Cause, ...]:
-            return tuple(c for c in causes if c.joints == (joint,))
+            return tuple(c for c in causes if c.at == (joint,))
 
         rows = [
             JointRow(e, on(e.joint, own), on(e.joint, self.suspects), on(e.joint, self.small))
@@ -504,8 +414,8 @@ class Answer(Part, frozen=True, kw_only=True):
 
     def where(self, same: Sequence[Cause]) -> str:
         """`all joints`, `joints 1, 2 and 4`, `link 5`, `the arm`: where causes of one name act."""
-        joints = sorted({j for c in same for j in c.joints})
-        if same[0].effect == "link_inertia" and joints:
+        joints = sorted({j for c in same for j in c.at})
+        if same[0].effect == LINK and joints:
             return f"link {listed(str(j + 1) for j in joints)}"
         if len(joints) == len(self.joints) > 1:
             return "all joints"
@@ -519,7 +429,7 @@ class Answer(Part, frozen=True, kw_only=True):
     @property
     def title(self) -> str:
         """Of the table."""
-        return f"RMS error [{self.unit}]"
+        return f"RMS error [{self.unit}] {self.after.whole}"
 
     @property
     def suspect_lines(self) -> list[str]:
@@ -607,50 +517,21 @@ def ordered(warnings: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(every, key=lambda text: [not text.startswith(kind) for kind in KINDS]))
 
 
-def size_words(size: Size) -> str:
-    """`0.61 ± 0.02 N m`, `9.1 ± 0.3 N m s/rad, was 4.0`."""
-    was = "" if size.was is None else f", was {digits(size.was)}"
-    return measure(size.value, size.std, unit_behind(size.unit)) + was
-
-
-def named_size(size: Size) -> str:
-    """`Fv = 5.6 ± 0.7 N m s/rad`."""
-    return f"{size.name} = {size_words(size)}"
-
-
-def common_name(cause: Cause, others: Sequence[Cause]) -> str:
-    """The name of a cause among others: of one effect no more than is sure of each."""
-    if cause.effect == "link_inertia":  # whose name has its place
-        return cause.name
-    return next((c for c in others if c.effect == cause.effect and c.branch), cause).name
-
-
 def _kind(cause: Cause) -> tuple[str, bool, frozenset[str]]:
     """What causes of one line have in common."""
     return cause.effect, cause.changed, frozenset(cause.ambiguous_with)
-
-
-def first_clause(remedy: str) -> str:
-    """The first clause of a remedy."""
-    return re.split(r"[,;:(]", remedy, maxsplit=1)[0].strip().rstrip(".")
 
 
 def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
     """Causes of one name with their values, how sure the least of them is, and what to do."""
     first = same[0]
     known = [c.how_sure for c in same if c.how_sure is not None]
-    end = (sure(min(known, default=None)), first_clause(first.remedy))
+    end = (sure(min(known, default=None)), remedy_of(same, short=True))
     if len(same) == 1:
-        link = first.effect == "link_inertia" and first.joints
-        name = "inertia" if link else first.name
-        text = f"{name} {'changed: ' if first.changed else ''}{first.values()}".rstrip()
-        return (text + first.rivals, *end)
-    # The number that carries the largest of them, of each.
-    size = max(same, key=lambda c: c.closes if c.closes == c.closes else 0.0).sizes[0]
-    numbers = [[f"{s.rounded:g}" for s in c.sizes if s.name == size.name] for c in same]
-    values = ", ".join(x for (x,) in (own or ["-"] for own in numbers))
-    sizes = f"{common_name(first, same)} {size.name} = {values} {unit_behind(size.unit)}".rstrip()
-    return (sizes + next((c.rivals for c in same if c.rivals), ""), *end)
+        name = "inertia" if first.effect == LINK and first.at else first.name
+        return (f"{name} {first.values()}".rstrip() + first.rivals, *end)
+    rivals = next((c.rivals for c in same if c.rivals), "")
+    return (f"{common_name(first, same)} {values_of(same)}{rivals}", *end)
 
 
 def _cut(text: str, longest: int) -> str:

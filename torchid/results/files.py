@@ -22,7 +22,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.atlas/1": "torchid.extraction.record:AtlasRecord",
     "torchid.feasibility/1": "torchid.feasibility.record:FeasibilityRecord",
     "torchid.payload/1": "torchid.identification.payload:Payload",
-    "torchid.gap/1": "torchid.gap.record:GapRecord",
+    "torchid.gap/2": "torchid.gap.record:GapRecord",
     "torchid.pair/1": "torchid.pair.record:PairRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
     "torchid.position_motion/1": "torchid.position.next_motion:NextCommandsRecord",
@@ -37,6 +37,12 @@ RECORDS = other_packages.RECORDS | {
     "torchid.gap.calibration/1": "torchid.withheld.planted:CalibrationRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
+
+OLDER = {
+    "torchid.gap/1": ("torchid.gap/2", "torchid.gap.older:from_first"),
+    "torchid.position_gap/1": ("torchid.position_gap/1", "torchid.gap.older:of_positions"),
+}
+"""Schemas of files of older versions: what they are now, and what makes them so."""
 
 
 class _Head(msgspec.Struct):
@@ -125,16 +131,35 @@ def read_as(path: str | Path, record: type[_R], what: str, hint: str | None = No
 
 
 def contents(path: Path, what: str, hint: str | None = None) -> bytes:
-    """What a file holds.
+    """What a file holds, one of an older version as it would be written now.
 
     Raises:
         TorchidError: it cannot be read.
     """
     try:
-        return path.read_bytes()
+        return as_now(path.read_bytes())
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         said = getattr(error, "strerror", None) or error
         raise TorchidError(f"'{path}' cannot be read: {said}.", expected=what, hint=hint) from error
+
+
+def as_now(content: bytes) -> bytes:
+    """The content of a file as this version writes it; of what is no such file as it is."""
+    try:
+        schema = msgspec.json.decode(content, type=_Head).schema
+        if schema not in OLDER:
+            return content
+        data = msgspec.json.decode(content)
+    except (msgspec.MsgspecError, ValueError, RecursionError):
+        return content
+    name, place = OLDER[schema]
+    try:
+        now = other_packages.loaded(place)(data)
+    except (KeyError, TypeError, AttributeError, ValueError):  # reading the record says its fault
+        now = data | {"schema": name, "answer": None}
+        if isinstance(where := data.get("where"), dict):
+            now["where"] = where | {"regimes": []}  # whose names are others now
+    return content if now is data else msgspec.json.encode(now)
 
 
 def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | None = None) -> Any:

@@ -44,6 +44,7 @@ class FrictionAt(Part, frozen=True):
         forwards, backwards: torque that moving the joint takes [N m; N], negative backwards; null
             in a direction in which the log does not move.
         forwards_std, backwards_std: standard deviations.
+        given: of the robot's file, mean of both directions [N m; N]; null where it has none.
     """
 
     speed: Real
@@ -51,6 +52,7 @@ class FrictionAt(Part, frozen=True):
     forwards_std: Real
     backwards: Real
     backwards_std: Real
+    given: Real = math.nan
 
     @property
     def size(self) -> float:
@@ -129,11 +131,14 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         return any(effect in d.effects for d in self.details)
 
     def words(self, every: bool = True) -> str:
-        """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`, or at the middle speed alone."""
+        """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`, or at the middle speed alone; what the robot's
+        file has before it: `0.8, 2, 3 -> 1.2, 1.9, 3.4 N m at ..`."""
         known = [x for x in self.at if not math.isnan(x.size)]
         known = known if every else known[len(known) // 2 :][:1]
         if not known:
             return ""
         sizes = ", ".join(digits(x.size, 2) for x in known)
         speeds = ", ".join(digits(x.speed, 2) for x in known)
+        given = ", ".join(digits(x.given, 2) for x in known if not math.isnan(x.given))
+        sizes = f"{given} -> {sizes}" if given else sizes
         return f"{sizes} {unit_behind(self.unit)} at {speeds} {unit_behind(self.speed_unit)}"

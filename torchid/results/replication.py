@@ -12,59 +12,15 @@ from collections.abc import Iterable, Sequence
 import torch
 from scipy.special import chdtrc
 
-from torchid.results.agreement import RunValue, Verdict, by_cause
-from torchid.results.answer import Cause
-from torchid.results.record import Part, Real, Rows
+from torchid.results.agreement import MotionScale, Replication, RunValue, Verdict, by_cause
+from torchid.results.cause import Cause
+from torchid.results.record import Rows
 from torchid.robot.knowledge import BETWEEN
 from torchid.statistics.criteria import SAME_FACTOR, TELLING_STD
 from torchid.typing import Bool, Tensor
 
 LEVEL = 0.05
 """Share of logs whose runs agree of which it is said that they do not [1]."""
-
-
-class MotionScale(Part, frozen=True):
-    """By which factor a part of the data wants an effect, 1 being as it was fitted to all.
-
-    Attributes:
-        trajectory, from_s, to_s: which part.
-        scale, std: the factor.
-    """
-
-    trajectory: str
-    from_s: float
-    to_s: float
-    scale: Real
-    std: float
-
-
-class Replication(Part, frozen=True, kw_only=True):
-    """Whether an effect is the same in every motion.
-
-    Attributes:
-        motions: part by part.
-        mean: of the parts that can tell.
-        spread: standard deviation between these parts, beyond that of each.
-        next_std: of the factor in the next part.
-        repeats, asked: in how many of the trajectories that can tell it has the same sign and size;
-            of the parts of a log of one trajectory.
-    """
-
-    motions: tuple[MotionScale, ...]
-    mean: Real
-    spread: Real
-    next_std: Real
-    repeats: int
-    asked: int
-
-
-def repeat_words(found: Replication | None) -> str:
-    """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
-    it; of a log of one motion its stretches."""
-    if found is None:
-        return "-"
-    one = len({m.trajectory for m in found.motions}) == 1
-    return f"{found.repeats} of {found.asked}{' stretches' if one else ''}"
 
 
 def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
@@ -92,7 +48,7 @@ def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
     )
 
 
-def agreement_of(causes: Iterable[tuple[Cause, Replication | None]]) -> Rows[RunValue]:
+def agreement_of(causes: Iterable[Cause]) -> Rows[RunValue]:
     """What each run alone wants of each cause, and which runs contradict most of the others.
 
     Runs agree as far as their standard deviations, and what friction varies by from session to
@@ -101,11 +57,11 @@ def agreement_of(causes: Iterable[tuple[Cause, Replication | None]]) -> Rows[Run
     while most remain; where these do not agree, all runs differ.
 
     Args:
-        causes: with their replication; only what two runs or more can tell has rows.
+        causes: of which only what two runs or more can tell has rows.
     """
     asked = []
-    for cause, again in causes:
-        runs = {} if again is None else _by_run(again.motions)
+    for cause in causes:
+        runs = {} if cause.replication is None else _by_run(cause.replication.motions)
         told = {name: (x, v) for name, (x, v) in runs.items() if v <= TELLING_STD**2}
         known = [s for s in cause.sizes if s.std and s.determined and s.value != s.was]
         if known and len(told) > 1:
@@ -125,7 +81,7 @@ def agreement_of(causes: Iterable[tuple[Cause, Replication | None]]) -> Rows[Run
             odd: Verdict = "differs" if apart.get(run) else "agrees"
             rows.append(
                 RunValue(
-                    effect=cause.effect, joints=cause.joints, parameter=size.name, unit=size.unit,
+                    effect=cause.effect, joints=cause.at, parameter=size.name, unit=size.unit,
                     run=run, value=was + factor * found, std=std * abs(found),
                     wanted=abs(factor) > 2 * math.hypot(BETWEEN, std) if run in told else None,
                     verdict=odd if run in told else "cannot tell", merged=was + mean * found,
@@ -136,7 +92,7 @@ def agreement_of(causes: Iterable[tuple[Cause, Replication | None]]) -> Rows[Run
 
 
 def of_few_runs(
-    causes: Iterable[tuple[Cause, Replication | None]],
+    causes: Iterable[Cause],
 ) -> set[tuple[str, tuple[int, ...]]]:
     """Effects and joints of causes that some runs want while most want none of them."""
     out = set()

@@ -26,7 +26,7 @@ def effect_words(name: str) -> str:
 
 
 def regime_words(name: str) -> str:
-    """`low_speed` as `low speed`."""
+    """`at_limit` as `at limit`."""
     return name.replace("_", " ")
 
 

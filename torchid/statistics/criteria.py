@@ -26,9 +26,9 @@ LAW_STD, PROXY_STD = 0.1, 0.5
 for something else [1]: friction of real arms varies by .05 to .15, causes that are not there by
 .3 to .6."""
 
-DOUBT = 4 / 9
-"""Odds of an unknown effect in the place of a cause, over the share of the squares that has no name
-[1]: with half of the RMS left a cause is 90 % sure at most."""
+DOUBT = 16 / 9
+"""Odds against a cause, over the share of the squares that has no cause [1]: with a quarter of the
+RMS left a cause is 90 % sure at most, with half of it 69 %."""
 
 WRONG_FILE = 1 / 9
 """Odds beforehand that all parameters of a file are wrong, over those of another cause [1]."""
@@ -45,9 +45,6 @@ the scale of a torque that nobody doubts."""
 
 MOVED_STD = 3.0
 """Standard deviations of what was known beyond which a coefficient has moved [1]."""
-
-FORBIDDEN_STD = 2.0
-"""Standard deviations beyond what physics allows from which a coefficient is refused [1]."""
 
 SAME_FACTOR = 2.0
 """Factor within which sizes are the same law [1]; friction laws vary by 1.02 to 1.04 between

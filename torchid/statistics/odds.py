@@ -13,7 +13,11 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.statistics.criteria import DOUBT, LAW_STD, PROXY_STD
+from torchid.statistics.criteria import LAW_STD, PROXY_STD
+
+UNNAMED = 4 / 9
+"""Odds of an unknown effect in the place of a cause, over the share of the squares that has no name
+[1]: with half of the RMS left a cause is 90 % sure at most."""
 
 Factors = list[tuple[float, float]]
 """By which factors parts of the data want a cause, each with its standard deviation."""
@@ -32,7 +36,7 @@ def unknown_rise(ratio: float, share: float, ways: Sequence[Factors] = ()) -> fl
     if ways:
         each = torch.tensor([stands_in(factors) for factors in ways], dtype=torch.float64)
         rise += 2 * (float(each.logsumexp(0)) - math.log(len(each)))
-    return max(rise, 2 * math.log(max(DOUBT * share, 1e-300)))
+    return max(rise, 2 * math.log(max(UNNAMED * share, 1e-300)))
 
 
 def stands_in(factors: Factors) -> float:

@@ -16,7 +16,7 @@ from torchid.effects.registry import nominal_effects
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.files import write_text
-from torchid.gap.diagnosis import Finding, TorqueDiagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.identification.identify import Identification, identify
@@ -24,6 +24,7 @@ from torchid.json_data import plain, read_json, write_json
 from torchid.log.model import Log
 from torchid.log.readers import read_log, write_log
 from torchid.parallel.workers import Progress
+from torchid.results.cause import Cause
 from torchid.robot.config_files import config_folder
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
@@ -80,7 +81,7 @@ class Comparison:
 
     planted: dict[str, Any]
     withheld: bool
-    finding: Finding | None
+    finding: Cause | None
 
     @property
     def coefficient(self) -> tuple[str, float]:
@@ -107,7 +108,7 @@ class Demo:
     identification: Identification
     diagnosis: TorqueDiagnosis
     opened: tuple[Comparison, ...]
-    others: tuple[Finding, ...]
+    others: tuple[Cause, ...]
 
     def plain(self) -> dict[str, Any]:
         """The schema torchid.demo/1."""
@@ -123,12 +124,12 @@ class Demo:
                 {
                     **{"planted": one.planted, "withheld": one.withheld},
                     "named": one.finding is not None,
-                    "value": None if one.finding is None else one.finding.values[0],
-                    "std": None if one.finding is None else one.finding.std[0],
+                    "value": one.finding and one.finding.parameters[one.coefficient[0]],
+                    "std": one.finding and one.finding.std[one.coefficient[0]],
                 }
                 for one in self.opened
             ],
-            "not_planted": [f.effect.name for f in self.others],
+            "not_planted": [f.effect for f in self.others],
         }
 
 
@@ -204,15 +205,15 @@ def demonstrate(files: Files, seed: int, progress: Progress | None = None) -> De
         Comparison(one, one is withheld, _finding(found, one, robot)) for one in (*PLAIN, withheld)
     )
     right = [one.finding for one in opened]
-    others = tuple(f for f in found.findings if not any(f is one for one in right))
+    others = tuple(f for f in found.which if not any(f is one for one in right))
     return Demo(files, examination, identification, found, opened, others)
 
 
-def _finding(found: TorqueDiagnosis, planted: dict[str, Any], robot: Robot) -> Finding | None:
+def _finding(found: TorqueDiagnosis, planted: dict[str, Any], robot: Robot) -> Cause | None:
     """The finding that names a planted effect, at its joint where it has one."""
     ((effect, _),) = nominal_effects(replace(robot, effects=(planted,)))
     joint = planted.get("joint")
-    for f in found.findings:
-        if f.effect.name == effect.name and (joint is None or joint - 1 in f.joints):
+    for f in found.which:
+        if f.effect == effect.name and (joint is None or joint - 1 in f.joints):
             return f
     return None

@@ -23,13 +23,14 @@ from torchid.effects.base import JointEffect, Motion
 from torchid.effects.registry import KINDS, model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.gap.data import prepare
-from torchid.gap.diagnosis import Finding, TorqueDiagnosis
+from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.inputs import LogLike, as_log
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, each
+from torchid.results.cause import LINK, Cause
 from torchid.results.record import Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import number_list
 from torchid.robot.model import Robot
@@ -218,8 +219,9 @@ def _plantings(
 ) -> Iterator[Planting]:
     """Causes, the most wanted first, without end unless no joint moves."""
     motions = [_with_load(bed.robot, s.motion) for s in segments]
-    names = [f.effect.name for f in diagnosis.findings]
-    names += [name.partition(" ")[0] for f in diagnosis.findings for name in f.ambiguous_with]
+    found = [f for f in diagnosis.which if f.effect != LINK]
+    names = [f.effect for f in found]
+    names += [name.partition(" ")[0] for f in found for name in f.ambiguous_with]
     names = [n for n in dict.fromkeys((*names, *USUAL)) if _can_be_planted(n, motions[0])]
     # A joint that leaves nothing moves not, or has no torque.
     after = diagnosis.how_far.rms_after.nan_to_num()
@@ -291,8 +293,9 @@ def _planted(
     torch.set_num_threads(1)
     log = with_torque(bed.log, rates, planting.torque)
     found = diagnose_torque(bed.robot, log, settings=bed.settings, force=True)
-    there = {(f.effect.name, f.located) for f in before.findings}
-    new = [f for f in found.findings if (f.effect.name, f.located) not in there]
+    there = {(f.effect, f.at) for f in before.which}
+    effects = [f for f in found.which if f.effect != LINK]
+    new = [f for f in effects if (f.effect, f.at) not in there]
     name, place = planting.name, (planting.joint,)
     inside = name != OUTSIDE
     return Planted(
@@ -301,30 +304,27 @@ def _planted(
         size=planting.size,
         named=inside and named(found, name, place),
         in_set=inside and in_set(found, name, place),
-        branch=inside and any(_alike(f, KINDS[name].branch, place) for f in found.findings),
-        how_sure=max((f.how_sure for f in new if not f.one_of_a_set), default=None),
+        branch=inside and any(_alike(f, KINDS[name].branch, place) for f in effects),
+        how_sure=max((f.probabilities[f.effect] for f in new if not f.one_of_a_set), default=None),
         named_instead=tuple(
-            FoundThere(f.effect.name, f.located)
-            for f in new
-            if (f.effect.name, f.located) != (name, place)
+            FoundThere(f.effect, f.at) for f in new if (f.effect, f.at) != (name, place)
         ),
     )
 
 
 def named(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     """Whether an effect was named at its place."""
-    return any((f.effect.name, f.located) == (name, place) for f in found.findings)
+    return any((f.effect, f.at) == (name, place) for f in found.which)
 
 
 def in_set(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     """Named, or among what a finding at its place, or of the whole arm, cannot be told from."""
-    said = [({f.effect.name, *f.ambiguous_with}, f.located) for f in found.findings]
-    said += [(set(p.ambiguous_with), p.links) for p in found.parametric]
+    said = [({f.effect, *f.ambiguous_with} - {LINK}, f.at) for f in found.causes]
     return any(name in names and (not place or not at or at == place) for names, at in said)
 
 
-def _alike(finding: Finding, branch: str, place: tuple[int, ...]) -> bool:
-    return finding.effect.branch == branch and finding.located == place
+def _alike(finding: Cause, branch: str, place: tuple[int, ...]) -> bool:
+    return KINDS[finding.effect].branch == branch and finding.at == place
 
 
 def with_torque(log: Log, rates: Sequence[float], added: Sequence[Float[Tensor, "T n"]]) -> Log:

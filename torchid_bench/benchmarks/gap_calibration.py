@@ -23,9 +23,9 @@ from torchid_bench.benchmarks.gap_planted import identity, names_it
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 1.0)
 
 
-def claims_of(answer: dict[str, Any], names: tuple[str, ...] = ("which", "suspects")) -> list[Any]:
+def claims_of(answer: dict[str, Any]) -> list[Any]:
     """Names and suspects of an answer."""
-    found = [c for name in names for c in answer.get(name, ())]
+    found = [*answer.get("which", ()), *answer.get("answer", {}).get("suspects", ())]
     return [c for c in found if c.get("how_sure") is not None]
 
 

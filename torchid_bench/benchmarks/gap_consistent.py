@@ -40,19 +40,20 @@ def contradictions(answer: dict[str, Any]) -> list[str]:
         if high > own["before"] * (1 + 1e-6) + ROUNDING:
             out.append(f"joint {j}: noise {high:.3g} above the gap {own['before']:.3g}")
     # Names are likelier than not, and sizes are above or below what was asked for.
-    for entry in [*answer["which"], *answer.get("small", [])]:
+    causes, small = (answer["answer"][key] for key in ("causes", "small"))
+    for entry in [*causes, *small]:
         if entry.get("how_sure") is not None and entry["how_sure"] < 0.5:
             out.append(f"{entry['effect']} {entry['joints']}: sure to {entry['how_sure']:.2f}")
     both = {(w["effect"], *w["joints"]) for w in answer["which"]}
-    for entry in answer.get("small", []):
+    for entry in small:
         if (entry["effect"], *entry["joints"]) in both:
             out.append(f"{entry['effect']} {entry['joints']}: told, and called small")
     # What the status says is there.
-    named = bool(answer["which"] or answer["parametric"])
+    named = bool(causes)
     if named != (status in NAMED) and status in (*NAMED, *UNNAMED):
         out.append(f"{status}, with {len(answer['which'])} names")
-    if (status == "negligible") != (bool(answer.get("small")) and status in UNNAMED[:2]):
-        out.append(f"{status}, with {len(answer.get('small', []))} small causes")
+    if (status == "negligible") != (bool(small) and status in UNNAMED[:2]):
+        out.append(f"{status}, with {len(small)} small causes")
     if not named and far["closed"] is not None:
         out.append(f"nothing is named and {far['closed']:.0%} closed")
     if far["closed"] is not None and not far["closed_ci95"][0] <= far["closed"] <= 1 + ROUNDING:

@@ -276,16 +276,16 @@ def main() -> None:
             if not asked.no_oracle:
                 only = ((RIGHT[kind], gear.joint),)
                 settings = torchid.GapSettings(
-                    effects=(RIGHT[kind],), only=only, parameters="trusted", alpha=0.5,
+                    effects=(RIGHT[kind],), only=only, parameters="trusted",
                     max_effects=1,
                 )  # fmt: skip
                 best = torchid.diagnose(robot, log, settings=settings).how_far.closed or 0.0
                 share = closed / best if best > 0 else float("nan")
             causes = found.answer.causes
-            place = [(c.effect, [j + 1 for j in c.joints]) for c in causes]
+            place = [(c.effect, [j + 1 for j in c.at]) for c in causes]
             hit = bool(causes) and place[0] == (RIGHT[kind], [gear.joint + 1])
             covered = bool(causes) and RIGHT[kind] in {causes[0].effect, *causes[0].ambiguous_with}
-            listed = [c.effect for c in found.small]
+            listed = [c.effect for c in found.answer.small]
             first, inset = first + hit, inset + (hit or covered)
             small += not (hit or covered) and RIGHT[kind] in listed
             beside += sum(p != (RIGHT[kind], [gear.joint + 1]) for p in place)

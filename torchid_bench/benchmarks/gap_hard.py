@@ -225,14 +225,14 @@ def main() -> None:
             right = RIGHT[kind]
             hit = bool(names) and names[0] in right
             covered = bool(causes) and bool(right & {names[0], *causes[0].ambiguous_with})
-            listed = [c.effect for c in found.small]
+            listed = [c.effect for c in found.answer.small]
             first, inset = first + hit, inset + (hit or covered)
             small += not (hit or covered) and bool(right & set(listed))
             beside += sum(n not in right for n in names)
             closed.append(found.how_far.closed or 0.0)
             print(
                 f"  {kind} {number}: {size:.1f} x noise on joint {joint + 1}: {found.status}; "
-                + ", ".join(f"{c.effect}{[j + 1 for j in c.joints]}" for c in causes)
+                + ", ".join(f"{c.effect}{[j + 1 for j in c.at]}" for c in causes)
                 + f"; small: {', '.join(listed)}; closed {closed[-1]:.2f}",
                 flush=True,
             )

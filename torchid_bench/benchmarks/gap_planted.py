@@ -399,7 +399,7 @@ def judged(case: dict[str, Any], none: dict[str, Any]) -> Verdict:
     key, names = case["planted"], case["answer"]["which"]
     before = {identity(w) for w in none["which"]}
     new = [w for w in names if identity(w) not in before]
-    sure = [w for w in new if w["how_sure"] >= SET_MASS and not w.get("one_of_a_set")]
+    sure = [w for w in new if w["probabilities"].get(w["effect"], 0.0) >= SET_MASS]
     # Known on the joint before it was planted, it can only change its size.
     known = any(names_it(key, w) for w in none["which"] if w["joints"])
     return Verdict(

@@ -72,14 +72,11 @@ def show(line: Line, found: Diagnosis, start: str, seconds: float) -> None:
     print("| before | after | to reach |\n|---|---|---|")
     print(f"| {errors(found, line, 'before')} | {errors(found, line, 'after')} | {line.gap} |\n")
     print("| effect | joints | cannot be told from | coefficients | share |\n|---|---|---|---|--:|")
-    for f in found.findings:
-        pairs = zip(f.effect.coefficients, f.values, f.std, strict=True)
-        values = ", ".join(f"{c.name} {v:.3g} ± {s:.1g}" for c, v, s in pairs)
+    for f in found.answer.causes:
+        values = ", ".join(s.named for s in f.sizes)
         joints = " ".join(str(j + 1) for j in f.joints)
         others = ", ".join(f.ambiguous_with)
-        print(f"| {f.effect.name} | {joints} | {others} | {values} | {100 * f.share:.1f} % |")
-    for p in found.parametric:
-        print(f"| inertial parameters | {[k + 1 for k in p.links]} | | | {100 * p.share:.1f} % |")
+        print(f"| {f.name} | {joints} | {others} | {values} | {100 * f.share:.1f} % |")
 
 
 def main() -> None:

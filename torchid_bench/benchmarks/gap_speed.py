@@ -81,7 +81,7 @@ def measure(seconds: float) -> dict[str, Any]:
         "peak_mb": peak_megabytes(),
         "peak_before_mb": before,
         "status": found.status,
-        "findings": [finding.effect.record(finding.values) for finding in found.findings],
+        "findings": [f"{cause.name} {cause.place}".rstrip() for cause in found.which],
     }
 
 
@@ -105,7 +105,7 @@ def main() -> None:
     for seconds in args.seconds:
         row = in_a_process(seconds)
         figures.append(row)
-        names = ", ".join(f"{f['effect']} {f.get('joint', '')}".strip() for f in row["findings"])
+        names = ", ".join(row["findings"])
         print(
             f"{seconds:4g} s, {row['samples']:6d} samples: {row['diagnosis_s']:6.1f} s, peak "
             f"{row['peak_mb']:5.0f} MB ({row['peak_before_mb']:.0f} before); {row['status']}: "

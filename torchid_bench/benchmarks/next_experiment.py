@@ -32,6 +32,7 @@ from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
+from torchid.gap.told import valued
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.next_motion.ambiguity import open_questions, rivals
@@ -120,15 +121,15 @@ def diagnosed(robot: Robot, log: Log, only: tuple[tuple[str, int | None], ...] |
 
 def members(robot: Robot, log: Log, found: Diagnosis, names: tuple[str, ...]) -> dict[str, Arm]:
     """Members of the set, each with the size that it would have had; those that a fit accepts."""
-    joints = next(f for f in found.findings if f.ambiguous_with).effect.joints
+    joints = next(f for f in found.which if f.ambiguous_with and f.effect != LINK).at
     out: dict[str, Arm] = {}
     for name in names:
         fit = diagnosed(robot, log, only=((name, None),))
-        here = [f for f in fit.findings if not joints or set(joints) & set(f.joints)]
-        if name == LINK and fit.parametric:
+        here = [f for f in fit.which if not joints or set(joints) & set(f.joints)]
+        if name == LINK and any(c.effect == LINK for c in fit.answer.causes):
             out[name] = replace(robot, parameters=fit.corrected.parameters), []
         elif here:
-            out[name] = robot, [here[0].valued]
+            out[name] = robot, [valued(here[0], robot)]
     return out
 
 
@@ -146,9 +147,8 @@ def next_motion(robot: Robot, found: Diagnosis, usage: float, seed: int) -> Sepa
 def verdict(found: Diagnosis, truth: str, group: set[str]) -> tuple[str, int]:
     """What stands first, against the truth; and how many members of the set are left."""
     entries: list[tuple[float, str, tuple[str, ...]]] = [
-        (f.share, f.effect.name, f.ambiguous_with) for f in found.findings
+        (c.share, c.effect, c.ambiguous_with) for c in found.answer.causes
     ]
-    entries += [(p.share, LINK, p.ambiguous_with) for p in found.parametric]
     if not entries:
         return "nothing", len(group)
     _, first, others = max(entries)
@@ -169,11 +169,11 @@ def play(name: str, seed: int, usage: float) -> dict[str, Any]:
     )
     log = driven_twice((robot, [planted]), poor, std, seed)
     found = diagnosed(robot, log)
-    if not any(f.ambiguous_with for f in found.findings):
-        print(f"{name}: nothing ambiguous, {[f.effect.name for f in found.findings]}", flush=True)
+    unsure = [f for f in found.which if f.ambiguous_with and f.effect != LINK]
+    if not unsure:
+        print(f"{name}: nothing ambiguous, {[f.effect for f in found.which]}", flush=True)
         return {"scene": name, "seed": seed, "set": [], "verdicts": []}
-    first = next(f for f in found.findings if f.ambiguous_with)
-    asked = (first.effect.name, *first.ambiguous_with)
+    asked = (unsure[0].effect, *unsure[0].ambiguous_with)
     names = tuple(n for n in asked if n not in KINDS or KINDS[n].by_motion)
     arms = members(robot, log, found, names)
     made = next_motion(robot, found, usage, seed)
@@ -182,8 +182,7 @@ def play(name: str, seed: int, usage: float) -> dict[str, Any]:
         for kind, motion in (("plain", made.plain), ("designed", made.trajectory)):
             again = diagnosed(robot, driven_twice(arm, motion, std, seed + 100))
             said, left = verdict(again, truth, set(names))
-            top = [(f.effect.name, list(f.joints), list(f.ambiguous_with))
-                     for f in again.findings[:2]]  # fmt: skip
+            top = [(f.effect, list(f.joints), list(f.ambiguous_with)) for f in again.which[:2]]
             verdicts.append(
                 {"truth": truth, "motion": kind, "verdict": said, "left": left, "first": top}
             )

@@ -23,10 +23,10 @@ from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.randomise import Randomisation, randomise
 from torchid.gap.data import prepare
+from torchid.gap.describe.traces import traces
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
-from torchid.gap.validate.traces import traces
 from torchid.identification.base_parameters import base_parameters
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
@@ -168,7 +168,7 @@ def real(data: Path, level: float) -> None:
         wide = randomise(found.record, level)
         shares = band(wide, found, apart)
         print(f"{name}: {' '.join(f'{x:.1f}' for x in shares.tolist())} %, mean", end=" ")
-        print(f"{float(shares.mean()):.1f} %; {len(wide.explanations)} explanations,", end=" ")
+        print(f"{float(shares.mean()):.1f} %,", end=" ")
         print(f"{time.perf_counter() - started:.0f} s", flush=True)
         for sentence in wide.warnings:
             print(f"  ! {sentence}", flush=True)

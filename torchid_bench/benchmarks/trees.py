@@ -28,6 +28,7 @@ import torchid
 from torchid.effects.base import Motion
 from torchid.effects.registry import effect_torque, nominal_effects
 from torchid.identification.base_parameters import nominal_values
+from torchid.results.cause import LINK
 from torchid.robot.model import Robot
 
 NOISE = 0.01
@@ -141,13 +142,14 @@ def arms(options: argparse.Namespace) -> None:
         found = torchid.diagnose(robot, log)
         costs.append(time.process_time() - before)
         # Links of bodies, and joints of other causes, by the arm that they are of: 8 joints each.
-        named = [k // 8 for one in found.parametric for k in one.links]
-        beside = [j // 8 for one in found.findings for j in one.joints]
+        links = [k for one in found.which if one.effect == LINK for k in one.at]
+        named = [k // 8 for k in links]
+        beside = [j // 8 for one in found.which if one.effect != LINK for j in one.joints]
         right += bool(named) and named[0] == side
         other += any(k != side for k in [*named, *beside])
         print(
             f"{number}: joint {key['effects'][0]['joints']}, said links "
-            f"{[k + 1 for one in found.parametric for k in one.links]}, {found.status}",
+            f"{[k + 1 for k in links]}, {found.status}",
             flush=True,
         )
     print(

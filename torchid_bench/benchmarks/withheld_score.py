@@ -11,7 +11,7 @@ Answers lie beside the set, not in it, and are kept as long as the diagnosis doe
 - The *truth* is how far a corrected model really closes the gap: on new motions, seen by ideal
   sensors. The arm of a case, with its effects, moves along other trajectories of the same kind,
   read without noise, counts and jitter: what a diagnosis says is how far the gap shrinks on data
-  that it was not fitted on. The closed share is that of `torchid.gap.validate.closing`, below the
+  that it was not fitted on. The closed share is that of `torchid.gap.describe.closing`, below the
   report's band away from reversals; its noise is what filters and dry friction leave of the same
   arm without the effects, whose model is right.
 """
@@ -30,10 +30,10 @@ from torchid.design.columns import Columns, Model
 from torchid.effects.registry import EVENTS, KINDS, effect_from_record
 from torchid.errors import TorchidError
 from torchid.gap.data import prepare
-from torchid.gap.noise.floor import stuck
+from torchid.gap.describe.closing import closed_share, levels
+from torchid.gap.describe.noise import stuck
+from torchid.gap.describe.traces import traces
 from torchid.gap.settings import GapSettings
-from torchid.gap.validate.closing import closed_share, levels
-from torchid.gap.validate.traces import traces
 from torchid.json_data import plain, read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
@@ -55,10 +55,6 @@ from torchid_bench.withheld.case_set import (
 )
 from torchid_bench.withheld.run import Job, job_of, run, written_answer
 from torchid_bench.withheld.score import require_answers, scored_case, summary
-
-LEVEL = 0.5
-"""At which the oracle accepts what it is told."""
-
 
 Answers = dict[str, dict[str, Any]]
 """By case."""
@@ -107,7 +103,6 @@ def told(key: Mapping[str, Any], settings: GapSettings) -> GapSettings | None:
         settings,
         effects=names,
         parameters="auto" if "link_inertia" in names else "trusted",
-        alpha=LEVEL,
         max_effects=len(planted),
         only=tuple(only),
     )

@@ -236,9 +236,9 @@ def _causes(document: dict[str, Any]) -> Iterator[Claim]:
     answer = document["answer"]
     for key in ("causes", "suspects", "small"):
         for c in answer[key]:
-            sizes = tuple((s["name"], s["value"], s["std"]) for s in c["sizes"])
+            sizes = tuple((x, c["parameters"][x], std) for x, std in c["std"].items())
             sure = c["how_sure"] if key == "causes" and c["how_sure"] is not None else 0.0
-            yield Claim(c["effect"], tuple(c["joints"]), sizes, sure, tuple(c["ambiguous_with"]))
+            yield Claim(c["effect"], tuple(c["located"]), sizes, sure, tuple(c["ambiguous_with"]))
     for c in document.get("not_testable") or ():
         yield Claim(c["effect"], tuple(c["joints"]))
     if not answer["causes"] and answer["status"] in UNKNOWN:

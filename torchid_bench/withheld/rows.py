@@ -144,9 +144,9 @@ def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
 def _torque_claims(answer: Mapping[str, Any]) -> list[Claim]:
     """Effects of an answer on torques, and inertial parameters that no link alone explains."""
     claims = [_claim(c) for c in answer.get("which", ())]
-    for p in answer.get("parametric", ()):
-        if p["all_base_parameters"]:
-            share, others = float(p.get("share") or 0.0), tuple(p["ambiguous_with"])
+    for c in answer.get("answer", {}).get("causes", ()):
+        if c["effect"] == INERTIAL[0] and not c["joints"]:
+            share, others = float(c["share"] or 0.0), tuple(c["ambiguous_with"])
             claims.append(Claim("all_base", "inertia", (), (), others, share))
     return claims
 
@@ -188,7 +188,8 @@ def _claim(found: Mapping[str, Any]) -> Claim:
     at_joints = issubclass(KINDS.get(name, Effect), JointEffect | OneJointEffect)
     located = at_joints or name in INERTIAL
     std = {} if found.get("shape") else found.get("std", {})
-    values = _numbers(found)
+    # What was planted is beside what the robot's file has.
+    values = {c: x - found.get("file", {}).get(c, 0.0) for c, x in _numbers(found).items()}
     return Claim(
         name,
         found["family"],

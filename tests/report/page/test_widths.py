@@ -4,14 +4,13 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
 
 import pytest
 
-from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis
+from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, cause, diagnosis
 from tests.report.test_gap_page import SHORT, made
 from torchid.effects.friction import CoulombFriction
-from torchid.gap.record import Parametric
+from torchid.gap.told import told_bodies
 from torchid.report.diagnosis import page
 from torchid.report.page.document import render
 
@@ -34,9 +33,9 @@ document.getElementById("page").onload = (event) => {{
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A page with several causes, a set, and links."""
-    other = replace(FRICTION, effect=CoulombFriction(2), joints=(2,), values=(0.3,))
+    other = cause(CoulombFriction(2), 0.3, 0.02, how_sure=0.999, share=0.9)
     found = diagnosis(
-        findings=(FRICTION, other, VISCOUS, OFFSET), parametric=(Parametric((2,), 0.1, 0.01),),
+        causes=(FRICTION, other, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
         **SHORT,
     )  # fmt: skip
     folder = tmp_path_factory.mktemp("page")

@@ -60,7 +60,9 @@ def test_what_is_no_cause_is_drawn_again(scene: Scene, monkeypatch: pytest.Monke
 
 def answer(*names: dict[str, Any]) -> dict[str, Any]:
     usual = {"joints": [1], "how_sure": 0.95, "ambiguous_with": []}
-    return {"status": "explained", "which": [{**usual, **name} for name in names]}
+    every = ({**usual, **name} for name in names)
+    which = [{"probabilities": {n["effect"]: n["how_sure"]}} | n for n in every]
+    return {"status": "explained", "which": which}
 
 
 @pytest.mark.parametrize(

@@ -30,10 +30,10 @@ def cause(
 ) -> dict[str, Any]:
     """A cause of an answer's JSON; sizes as name=(value, std)."""
     instead = more.pop("instead", ())
-    sizes = [{"name": n, "value": v, "std": s} for n, (v, s) in more.items()]
     return {
-        "effect": effect, "joints": joints, "sizes": sizes, "how_sure": sure,
-        "ambiguous_with": instead,
+        "effect": effect, "located": joints, "how_sure": sure, "ambiguous_with": instead,
+        "parameters": {n: v for n, (v, _) in more.items()},
+        "std": {n: s for n, (_, s) in more.items()},
     }  # fmt: skip
 
 

@@ -121,7 +121,7 @@ def plant(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 def answer(status: str, *found: dict[str, Any], **more: Any) -> dict[str, Any]:
     """What a diagnosis could have said."""
-    return {"status": status, "which": list(found), "parametric": [], "not_testable": []} | more
+    return {"status": status, "which": list(found), "not_testable": []} | more
 
 
 def entry(

@@ -244,7 +244,7 @@ def test_a_row_is_read_from_files() -> None:
         "which": [
             {"effect": "viscous_friction", "family": "speed", "joints": [2], "places": [],
              "common": False, "ambiguous_with": [], "share": 0.1, "shape": [],
-             "parameters": {"Fv": 2.0}, "std": {"Fv": 0.5}},
+             "parameters": {"Fv": 3.0}, "file": {"Fv": 1.0}, "std": {"Fv": 0.5}},
             {"effect": "time_delay", "family": "phase", "joints": [1, 2], "places": [],
              "common": True, "ambiguous_with": ["filter_lag"], "share": None, "shape": [],
              "parameters": {"delay": None}, "std": {"delay": None}},
@@ -254,10 +254,12 @@ def test_a_row_is_read_from_files() -> None:
             {"effect": "link_inertia", "family": "inertia", "joints": [3], "places": [],
              "ambiguous_with": ["payload"], "share": 0.3, "parameters": {"links": [3]}, "std": {}},
         ],
-        "parametric": [
-            {"links": [3], "all_base_parameters": False, "share": 0.3, "ambiguous_with": []},
-            {"links": [], "all_base_parameters": True, "share": 0.5, "ambiguous_with": []},
-        ],
+        "answer": {
+            "causes": [
+                {"effect": "link_inertia", "joints": [3], "share": 0.3, "ambiguous_with": []},
+                {"effect": "link_inertia", "joints": [], "share": 0.5, "ambiguous_with": []},
+            ]
+        },
         "not_testable": [{"effect": "backlash", "joint": 1}, {"effect": "payload", "joint": None}],
     }  # fmt: skip
     r = row_of(key, answer)

@@ -52,7 +52,7 @@ def test_answers_stay_and_errors_are_tried_again(todo, said):
 
 def test_answers_of_another_diagnosis_are_not_taken_for_its_own(todo, said, monkeypatch, plant):
     run(todo)
-    other = [job.__class__(**{**vars(job), "settings": GapSettings(alpha=0.02)}) for job in todo]
+    other = [job.__class__(**{**vars(job), "settings": GapSettings(folds=4)}) for job in todo]
     with pytest.raises(TorchidError, match="other settings"):
         run(other)
     monkeypatch.setattr(running, "source_digest", lambda: "another")
@@ -79,7 +79,7 @@ def test_the_diagnosis_needs_no_key(todo, tmp_path):
     quick = GapSettings(effects=("coulomb_friction", "viscous_friction"))
     answers = run([replace(todo[0], settings=quick)])
     found = answers["case-0001"]
-    assert (found["schema"], found["status"]) == ("torchid.gap/1", "explained")
+    assert (found["schema"], found["status"]) == ("torchid.gap/2", "explained")
     assert [(w["effect"], w["joints"]) for w in found["which"]] == [("coulomb_friction", [2])]
     assert found["seconds"] > 0
     assert len(found["corrected"]["pi"]) == 2

@@ -10,6 +10,7 @@ it states, always fitted.
 """
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,21 +19,24 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchid.design.bodies import body_sizes
+from torchid.design.bodies import body_sizes, links_near, usual_bodies
 from torchid.design.columns import Columns, Model, Place, smoothed, together
+from torchid.design.deflection import Compliance, compliance
+from torchid.design.resonance import Swing
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.file_mistakes import FileMistake
 from torchid.effects.gravity import BaseTilt, EncoderOffset, KinematicError, TorqueCrosstalk
 from torchid.effects.motion import Motion
+from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS
-from torchid.effects.transient import Contact
 from torchid.gap.causes.misfit import noise_of_repeats
+from torchid.gap.causes.scale import Scale
+from torchid.gap.causes.windows import Windows
 from torchid.gap.data import Data
 from torchid.gap.problem import Problem
-from torchid.gap.search.scale import Scale
-from torchid.gap.search.terms import are_bodies, as_logged, logged
-from torchid.gap.wanted import BASE
+from torchid.gap.wanted import BASE, LINK
 from torchid.identification.knowledge import known_names
+from torchid.robot.model import Robot
 from torchid.statistics.criteria import BODY_STD, WRONG_BODY
 
 SLAB = 2.0
@@ -60,11 +64,9 @@ FLAT = (EncoderOffset, KinematicError, BaseTilt)
 LATER = ("backlash",)
 """Effects whose columns are costly: evaluated on joints where something is left to explain."""
 
-WINDOWS_S = (0.4, 0.8, 1.5, 3.0)
-"""Lengths of windows in which a push is looked for [s]."""
-
-PUSHES = 3
-"""Windows of pushes that are offered at most."""
+AS_LOGGED = 0.2
+"""Correlation of logged torque with the model's from which other sensors may read it [1]: much else
+may be in it, but it is there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,10 @@ class Term:
         shapes: number of shapes of its key that are looked at.
         change: (L, 10) of the links' parameters per unit of the one coefficient, of a mistake of
             the robot's file.
+        seen: what another sensor, or the torque above the fit's band, tells of the one coefficient:
+            there the slab is centred, as wide as that is unsure.
+        said: what that adds to the evidence [nats].
+        shown: whether it shows as much as is worth a name.
         serial: of its own, by which its products with others are kept.
     """
 
@@ -100,6 +106,9 @@ class Term:
     law: tuple[str, int] | None = None
     shapes: int = 1
     change: np.ndarray | None = None
+    seen: Compliance | Swing | None = None
+    said: float = 0.0
+    shown: bool = False
     serial: int = field(init=False, default_factory=itertools.count().__next__)
 
     @property
@@ -108,9 +117,24 @@ class Term:
         return len(self.low)
 
     @property
+    def centre(self) -> np.ndarray:
+        """(C,) where coefficients are expected."""
+        return np.zeros(self.count) if self.seen is None else self.seen.value + self.low
+
+    @property
+    def common(self) -> bool:
+        """Whether it is one coefficient that all joints share."""
+        return self.key[-1:] == ("shared",)
+
+    @property
     def cause(self) -> tuple[object, ...]:
         """What is counted as one cause: a joint's law with all its forms, or the effect itself."""
         return self.key if self.law is None else self.law
+
+    @property
+    def parametric(self) -> bool:
+        """Whether it corrects the links' own parameters."""
+        return self.name in (BASE, LINK)
 
     @property
     def inertial(self) -> bool:
@@ -126,12 +150,17 @@ class Term:
         return self.name + "".join(f" {j + 1}" for j in self.joints)
 
 
+def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> tuple[Term, ...]:
+    """Terms but for some of them."""
+    return tuple(t for t in terms if all(t is not g for g in gone))
+
+
 class Library:
     """All candidates for the gap of a model on a log.
 
     Args:
         problem: gap, samples, and what is looked for.
-        events: pushes and planes that are candidates, too.
+        events: contacts that are candidates, too.
         at: the model at which columns are taken; the one as given if None.
 
     Attributes:
@@ -164,9 +193,10 @@ class Library:
         self.scale = Scale(self.columns)
         self.noise = noise_of_repeats(problem)
         self.nuisance = self._nuisance()
-        self._windows: list[tuple[object, float, float]] = []
+        self.windows = Windows(self.samples)
+        made = (self.of_event(e) for e in events)
         self.terms = self._with_shapes(
-            [*self._of_joints(), *self._of_the_arm(), *self._bodies(), *self._events(events)]
+            [*self._of_joints(), *self._of_the_arm(), *self._bodies(), *made]
         )
 
     # ------------------------------------------------------------------ one candidate
@@ -182,9 +212,17 @@ class Library:
         std = high / 2
         if effect.scale_of_torque and self.data.gain_said and self.problem.wanted.knowledge is None:
             std = np.full(len(known), self.data.gain_std)
-        name, joints = effect.name, effect.joints
+        name, joints, seen = effect.name, effect.joints, self._seen(effect)
         law = (effect.law, joints[0]) if effect.law and len(joints) == 1 else None
         fields: dict[str, Any] = {"key": effect.identity, "law": law, "joints": joints, **more}
+        if seen is not None:
+            # Beside what may be on any arm: the other sensor's likelihood, with the cause or none.
+            settings, wide = self.problem.settings, float(std[0])
+            said = 0.5 * (max(seen.value, 0.0) / seen.std) ** 2 - math.log(1 + wide / seen.std)
+            fields["seen"], fields["said"], std = seen, said, np.array([seen.std])
+            fields["shown"] = (
+                seen.size >= settings.worthwhile_torque and seen.explained >= settings.worthwhile
+            )
         return self._sized(name, effect, place, columns, std, low - known, high - known, **fields)
 
     def _sized(
@@ -222,7 +260,9 @@ class Library:
     def same(self, term: Term) -> Term | None:
         """A term of another library in this one; None of what makes no torque here."""
         for t in self.terms:
-            if t.key == term.key and t.effect == term.effect and t.count == term.count:
+            # Events have numbers in the order in which they were found.
+            named = t.key == term.key or (t.effect is not None and t.effect.event)
+            if named and t.effect == term.effect and t.count == term.count:
                 return t
         if term.effect is None or term.inertial:
             return None
@@ -231,7 +271,7 @@ class Library:
 
     def of_effect(self, effect: Effect, like: Term | None = None) -> Term | None:
         """A candidate from an effect, at its place; of one that all joints share, `like` that."""
-        if like is not None and len(like.joints) > 1 and like.key[-1] == "shared":
+        if like is not None and len(like.joints) > 1 and like.common:
             return self._shared(type(effect))
         ((place, columns),) = self._columns([effect])
         return self.term(effect, place, columns)
@@ -245,14 +285,7 @@ class Library:
             return [
                 (None, e.torque_columns(at_samples, arm).permute(2, 1, 0).numpy()) for e in effects
             ]
-        if isinstance(first, TorqueCrosstalk):
-            torque = logged(self.columns).numpy()
-            return [(e.joint, torque[[e.read]]) for e in effects]  # type: ignore[attr-defined]
-        if isinstance(first, JointEffect) or len(effects) == 1:
-            found = [self.columns.of(e) for e in effects]
-        else:
-            found = list(self.columns.of_several(effects))  # type: ignore[arg-type]
-        return [(place, x.numpy()) for place, x in found]
+        return [(place, x.numpy()) for place, x in columns_of(self.columns, effects)]
 
     @cached_property
     def _motion(self) -> Motion:
@@ -263,6 +296,30 @@ class Library:
         return together(every)._replace(
             **pick, torque=torque, t=self.samples.t, direction=None, age=None
         )
+
+    def _seen(self, effect: Effect) -> Compliance | Swing | None:
+        """What a link's own encoder, or its swinging, tells of its joint's compliance."""
+        if not isinstance(effect, JointElasticity):
+            return None
+        if self.data.lag is None:
+            return self.data.swings.get(effect.joint) if effect.damping > 0 else None
+        load, q = self._load_and_position(effect.joint)
+        return compliance(self.data.lag[effect.joint], load, q, self.samples.bounds)
+
+    def _load_and_position(self, joint: int) -> torch.Tensor:
+        """The model's torque of a joint and its position, as samples (2, N)."""
+        each = [
+            torch.stack([m.require("torque", "a load")[:, joint], m.q[:, joint]])
+            for m in self.columns.motions
+        ]
+        return self.samples.of(each)
+
+    def _swinging(self, effect: ModelEffect) -> ModelEffect:
+        """An elastic joint as it swings, where its link is seen to; any other effect as it is."""
+        if not isinstance(effect, JointElasticity) or effect.joint not in self.data.swings:
+            return effect
+        swing = self.data.swings[effect.joint]
+        return replace(effect, at=swing.value, damping=swing.damping)
 
     def _with_shapes(self, terms: Iterable[Term | None]) -> list[Term]:
         """Candidates that make torque, each with the number of shapes of its key."""
@@ -312,7 +369,7 @@ class Library:
                 continue
             if kind.of_bodies and not bodies:
                 continue
-            effects = [e for e in kind.starts(robot) if self._told(e, there)]
+            effects = [self._swinging(e) for e in kind.starts(robot) if self._told(e, there)]
             if effects:
                 for effect, (place, columns) in zip(effects, self._columns(effects), strict=True):
                     yield self.term(effect, place, columns)
@@ -383,12 +440,12 @@ class Library:
         if not wanted.inertial or wanted.free:
             return
         links = [link for link in robot.bodies if link in robot.own_links]
-        if "link_inertia" in wanted.names:
+        if LINK in wanted.names:
             for link in links:
-                effect = KINDS["link_inertia"](robot.own_links.index(link))  # type: ignore[call-arg]
+                effect = KINDS[LINK](robot.own_links.index(link))  # type: ignore[call-arg]
                 for error in (BODY_STD, WRONG_BODY * BODY_STD):
                     yield self._sized(
-                        "link_inertia", effect, None, regressor[link], error * size[link], -none,
+                        LINK, effect, None, regressor[link], error * size[link], -none,
                         none, key=effect.identity, joints=effect.joints,
                     )  # fmt: skip
         if wanted.knowledge is None:
@@ -399,42 +456,18 @@ class Library:
                 BASE, None, None, columns, BODY_STD * every, -free, free, key=(BASE,), joints=()
             )
 
-    def _events(self, events: Sequence[Effect]) -> Iterable[Term | None]:
+    def of_event(self, effect: Effect) -> Term | None:
         """What was found in a window of time, or at an end of the travel."""
-        for effect in events:
-            place, columns = self.columns.of(effect)
-            more = {"key": self._event(effect), "shapes": len(self._spans()), "law": None}
-            yield self.term(effect, place, columns.numpy(), **more)
-
-    def _spans(self) -> list[tuple[int, int]]:
-        """Windows in which a push is looked for: first sample, and the one behind the last."""
-        out = []
-        for own in self.samples.bounds:
-            for seconds in WINDOWS_S:
-                size = max(3, round(seconds / self.samples.interval))
-                first = range(own.start, own.stop - size, max(1, size // 4))
-                out += [(i, i + size) for i in first]
-        return out
-
-    def _event(self, effect: Effect) -> tuple[object, ...]:
-        """What an event is, whatever its shape: of two pushes at one place whose windows overlap
-        the one is the other."""
-        if not isinstance(effect, Contact):
-            return (*effect.identity, getattr(effect, "side", ""))
-        place = effect.tip, effect.along
-        start, stop = (float(t) for t in (effect.start or 0.0, effect.stop or 0.0))
-        for k, (where, a, b) in enumerate(self._windows):
-            if where == place and start < b and a < stop:
-                return (effect.name, k)
-        self._windows.append((place, start, stop))
-        return (effect.name, len(self._windows) - 1)
+        place, columns = self.columns.of(effect)
+        more = {"key": self.windows.key(effect), "shapes": self.windows.count, "law": None}
+        return self.term(effect, place, columns.numpy(), **more)
 
     # ------------------------------------------------------------------ what is always fitted
 
     def _nuisance(self) -> Term | None:
         """What the model leaves open of itself, in coordinates in which it is independent."""
         wanted = self.problem.wanted
-        if wanted.free:
+        if wanted.free or wanted.background:
             return self._free_parameters()
         if wanted.knowledge is None:
             return None
@@ -456,9 +489,10 @@ class Library:
         return self._always(np.tensordot((axes / size[:, None]).T, columns, 1), std)
 
     def _free_parameters(self) -> Term:
-        """Base parameters and the background, of which nothing is known."""
+        """Base parameters, where they are free, and the background, of which nothing is known."""
         wanted = self.problem.wanted
-        parts = [self.columns.regressor.flatten(0, 1).numpy()[list(wanted.base.by_link)]]
+        base = list(wanted.base.by_link) if wanted.free else []
+        parts = [self.columns.regressor.flatten(0, 1).numpy()[base]]
         for name in wanted.background:
             effects = [KINDS[name](j) for j in range(self.n)]  # type: ignore[call-arg]
             parts += [self.columns.on_all_joints(e).numpy() for e in effects]
@@ -489,41 +523,34 @@ class Library:
                 out += self._with_shapes(self.term(e, place, x) for e, (place, x) in found)
         return out
 
-    def pushes(self, left: np.ndarray, weight: np.ndarray) -> list[Term]:
-        """Windows in which a constant force at the tool explains most of what is left.
 
-        Args:
-            left: (n, N) what is left [N m; N].
-            weight: (n,) of its squares.
-        """
-        if "contact" not in self.problem.wanted.names:
-            return []
-        base = Contact.candidates(self.columns.model.robot)[0]
-        assert isinstance(base, Contact)
-        pull = self.columns.on_all_joints(base).numpy() * self.keep
-        size = np.sqrt((pull**2).mean(2))
-        std = 0.5 * (self.torque / np.maximum(size, 1e-9)).min(1)
-        squares = np.einsum("anN,bnN,n->Nab", pull, pull, weight)
-        right = np.einsum("anN,nN,n->Na", pull, left, weight)
-        # Sums over any window are differences of running sums.
-        spans = np.array(self._spans()).reshape(-1, 2)
-        g = np.concatenate([np.zeros_like(squares[:1]), squares.cumsum(0)])
-        b = np.concatenate([np.zeros_like(right[:1]), right.cumsum(0)])
-        a, v = (x[spans[:, 1]] - x[spans[:, 0]] for x in (g, b))
-        a, v = np.eye(len(std)) + a * std * std[:, None], v * std
-        held = (v * np.linalg.solve(a, v[..., None])[..., 0]).sum(1)
-        gains = 0.5 * (held - np.linalg.slogdet(a)[1])
-        looked = len(spans)
-        found = sorted(zip(gains.tolist(), *spans.T.tolist(), strict=True), reverse=True)
-        t, taken, out = self.samples.t.numpy(), list[tuple[int, int]](), list[Term]()
-        for gain, i, k in found:
-            if len(taken) >= PUSHES or gain < np.log(max(looked, 1)):
-                break
-            if all(k <= a or i >= z for a, z in taken):
-                taken.append((i, k))
-                push = replace(base, start=float(t[i]), stop=float(t[k - 1]))
-                place, columns = self.columns.of(push)
-                key = self._event(push)
-                term = self.term(push, place, columns.numpy(), key=key, shapes=looked)
-                out += [] if term is None else [term]
-        return out
+def columns_of(columns: Columns, effects: Sequence[Effect]) -> list[tuple[Place, torch.Tensor]]:
+    """Columns of effects of one kind, as `Columns.of` has them. What a sensor reads of another
+    joint's torque is the torque that the log has: the model's lacks what no cause explains yet."""
+    first = effects[0] if effects else None
+    if isinstance(first, TorqueCrosstalk):
+        torque = logged(columns)
+        return [(e.joint, torque[[e.read]]) for e in effects]  # type: ignore[attr-defined]
+    if isinstance(first, JointEffect) or len(effects) == 1:
+        return [columns.of(e) for e in effects]
+    return list(columns.of_several(effects))  # type: ignore[arg-type]
+
+
+def logged(columns: Columns) -> torch.Tensor:
+    """Samples (n, N) of the measured torque [N m; N]."""
+    return columns.samples.of([s.tau.T for s in columns.samples.segments])
+
+
+def as_logged(columns: Columns) -> list[bool]:
+    """Of each joint, whether the log has the model's torque: not where it is passive, or has no
+    sensor."""
+    model = columns.samples.of([m.require("torque", "a log").T for m in columns.motions])
+    measured = logged(columns)
+    both = (model * measured).sum(1)
+    return (both > AS_LOGGED * model.norm(dim=1) * measured.norm(dim=1)).tolist()
+
+
+def are_bodies(robot: Robot) -> bool:
+    """Whether a model's links are bodies: those of base parameters alone hardly ever are."""
+    pi = robot.require_parameters("a diagnosis").pi.double()
+    return links_near(pi, usual_bodies(pi), BODY_STD) is not None

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from torchid.gap.causes.candidates import Library, Term
@@ -174,6 +174,14 @@ class Evidence:
         self._sets[key] = out
         return out
 
+    def white(self, terms: Sequence[Term], weight: np.ndarray) -> np.ndarray:
+        """Whitened coordinates B' (K, K) of terms' columns, joints by weights (n,): B B' is the
+        covariance of their coefficients."""
+        spread = spread_of(terms)
+        h = np.tensordot(weight, self.normal(terms), 1)[:-1, :-1]
+        root, size = whitening(spread.T @ h @ spread)
+        return solve_triangular(root, spread.T / size[:, None], lower=True)
+
     # ------------------------------------------------------------------ fits
 
     def fit(self, terms: Sequence[Term], samples: np.ndarray) -> Fit:
@@ -185,13 +193,13 @@ class Evidence:
         terms = tuple(terms)
         every = (*self.nuisance, *terms)
         g = self.normal(every)
-        spread = spread_of(every)
+        spread, centre = spread_of(every), centre_of(every)
         low = np.concatenate([np.zeros(0), *(t.low for t in every)])
         high = np.concatenate([np.zeros(0), *(t.high for t in every)])
         pinned, at = np.zeros(len(low), bool), np.zeros(len(low))
         slack = 1e-9 * np.abs(spread).max(1, initial=0.0)
         for _ in range(PINS):
-            x, losses, known = solved(g, spread, samples, self.floor, pinned, at)
+            x, losses, known = solved(g, spread, samples, self.floor, pinned, at, centre)
             below = (x < low - slack) & ~pinned
             if not below.any():
                 break
@@ -280,6 +288,7 @@ class Evidence:
             out += math.log(t.shapes * self.forms.get(t.cause, 1))
             # A file that is wrong throughout is less likely than one cause.
             out -= math.log(WRONG_FILE) if t.name == BASE else 0.0
+            out -= t.said
         return out
 
     def value(self, fit: Fit) -> float:
@@ -306,6 +315,11 @@ def spread_of(terms: Sequence[Term]) -> np.ndarray:
     return block_diag(*(t.spread for t in terms)) if terms else np.zeros((0, 0))
 
 
+def centre_of(terms: Sequence[Term]) -> np.ndarray:
+    """Where the coefficients (K,) of terms are expected."""
+    return np.concatenate([np.zeros(0), *(t.centre for t in terms)])
+
+
 def solved(
     g: np.ndarray,
     spread: np.ndarray,
@@ -313,6 +327,7 @@ def solved(
     floor: np.ndarray,
     pinned: np.ndarray | None = None,
     at: np.ndarray | None = None,
+    centre: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Coefficients (K,), squares left (n,), and half of the coefficients' squares in units of their
     slabs and of the log determinant of what the data say over what was known.
@@ -322,6 +337,7 @@ def solved(
         spread: (K, K) root of the slabs' covariance.
         samples, floor: (n,) that the squares count as, and squares that are rounding.
         pinned, at: (K,) coefficients that are held, and where; none if None.
+        centre: (K,) of the slabs; at zero if None.
     """
     count = len(spread)
     losses = np.maximum(g[:, -1, -1], floor)
@@ -336,14 +352,15 @@ def solved(
         spread = np.linalg.inv(
             np.linalg.cholesky(np.linalg.inv(spread @ spread.T)[np.ix_(free, free)])
         ).T
-    half = 0.0
+    half, centre = 0.0, np.zeros(count) if centre is None else centre
+    middle = centre[free]
     for _ in range(ROUNDS):
         h = np.tensordot(samples / losses, g, 1)
         a, b = h[:-1, :-1], h[:-1, -1]
         if not free.all():
             a, b = a[np.ix_(free, free)], b[free] - a[np.ix_(free, ~free)] @ x[~free]
-        z, half = posterior(spread.T @ a @ spread, b @ spread)
-        x[free] = spread @ z
+        z, half = posterior(spread.T @ a @ spread, (b - a @ middle) @ spread)
+        x[free] = middle + spread @ z
         v = np.append(x, -1.0)
         before, losses = losses, np.maximum((v @ g) @ v, floor)
         half += 0.5 * float(z @ z)

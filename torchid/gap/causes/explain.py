@@ -1,13 +1,12 @@
 """From a problem to its causes: search, columns at the model found, and how sure each cause is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from torchid.design.columns import Model
-from torchid.effects.base import Effect
 from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.judge import Judged, judge
@@ -31,30 +30,25 @@ class Explained:
     Attributes:
         search, found: of which.
         judged: terms of the explanation.
-        before, after: (n,) RMS of the gap, and of what is left on motions left out [N m; N].
+        left: (n + 1,) share of the squares of each joint's gap that is no noise and left on motions
+            left out, and of the arm's as a whole.
     """
 
     search: Search
     found: Found
     judged: list[Judged]
-    before: np.ndarray
-    after: np.ndarray
+    left: np.ndarray
 
 
-def explain(
-    problem: Problem,
-    watch: Callable[[Search, Fit], None] | None = None,
-    events: Sequence[Effect] = (),
-) -> Explained:
+def explain(problem: Problem, watch: Callable[[Search, Fit], None] | None = None) -> Explained:
     """Which causes make the gap of a model on a log.
 
     Args:
         problem: the gap, and what is looked for.
         watch: called with the search and each fit that it goes on from, the first without a cause.
-        events: pushes and planes that are candidates, too.
     """
     say = watch or (lambda search, fit: None)
-    library = Library(problem, events)
+    library = Library(problem)
     search = Search(library, say)
     say(search, search.empty())
     found = search.explanation()
@@ -63,6 +57,7 @@ def explain(
         at = with_bodies(problem.given.model, found.fit)
         if not _changed(library.columns.model, at, problem):
             break
+        events = [t.effect for t in found.fit.terms if t.effect is not None and t.effect.event]
         library = Library(problem, events, at)
         start = [library.same(t) for t in found.fit.terms]
         search = Search(library, say)
@@ -74,7 +69,7 @@ def explain(
     part = problem.folds.fold.numpy()
     after = np.sqrt(search.left_out(fit, part) / rows)
     before = np.sqrt((library.gap**2).sum(1) / rows)
-    share = foreseen(problem, evidence.left(fit))
+    share = foreseen(problem, torch.from_numpy(evidence.left(fit))).share.clamp(min=0).numpy()
     noise = np.minimum(library.noise, after)
     noise = np.where(np.isnan(noise), after * np.sqrt(1 - share), noise)
     left = np.maximum(after**2 - noise**2, 0.0)
@@ -82,7 +77,7 @@ def explain(
     unit = library.torque**2
     whole = float((left / unit).sum() / max((before**2 / unit).sum(), 1e-300))
     shares = np.minimum(np.append(shares, whole), 1.0)
-    return Explained(search, found, judge(search, fit, shares, problem.draws), before, after)
+    return Explained(search, found, judge(search, fit, shares, problem.draws), shares)
 
 
 def with_bodies(model: Model, fit: Fit) -> Model:

@@ -19,12 +19,11 @@ import torch
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.spring import JointSpring
-from torchid.gap.causes.candidates import Term
+from torchid.gap.causes.candidates import Term, excluding
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import ONE_BODY, STEP, Search, same_columns
-from torchid.gap.search.terms import excluding
 from torchid.statistics.bagging import Draws
-from torchid.statistics.criteria import SET_MASS, WRONG_FILE
+from torchid.statistics.criteria import DOUBT, SET_MASS, WRONG_FILE
 
 WAVES = 4
 """The longest of the grid, of which any smooth curve over a joint's position is: up to three
@@ -33,10 +32,6 @@ periods."""
 NEARLY = 0.8
 """Probability, over that of the likeliest, from which an explanation is nearly as likely [1]: the
 simplest of these gives the name."""
-
-DOUBT = 16 / 9
-"""Odds against a cause, over the share of the squares that has no cause [1]: with a quarter of the
-RMS left a cause is 90 % sure at most, with half of it 69 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +148,9 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
     told = fit.samples * np.log(np.maximum(base.losses / fit.losses, 1.0))
     if term.place is not None:
         told = told * (np.arange(library.n) == term.place)
-    bound = _bound(told, fall, left, (library.gap**2).sum(1) / library.rows)
+    before = (library.gap**2).sum(1) / library.rows
+    # What another sensor shows is asked of no torque that is left.
+    bound = 1.0 if term.shown else _bound(told, fall, left, before)
     return Judged(
         term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
         min(law, bound),

@@ -2,16 +2,23 @@
 foresees.
 
 The predictor is ridge regression on random Fourier features of the state (Rahimi and Recht 2007),
-each part of the log foreseen by the others.
+each part of the log foreseen by the others. It sees motion and the model's torque only, never a
+measured torque, whose noise would predict itself.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy.linalg import solve
+from scipy.special import stdtrit
 
 from torchid.design.segments import Samples
 from torchid.gap.problem import Problem
+from torchid.statistics.blocks import block_sums
+from torchid.statistics.resampling import tails
+from torchid.typing import Float, Tensor
 
 FEATURES = 150
 RIDGE = 30.0
@@ -26,15 +33,34 @@ MEDIAN = 0.4549
 """Median of the square of a standard normal variable [1]."""
 
 
-def foreseen(problem: Problem, left: np.ndarray) -> np.ndarray:
-    """Share (n,) of the squares left that a flexible predictor foresees on parts it has not seen.
+@dataclass(frozen=True, eq=False)
+class Foreseen:
+    """What is left, as the rest of the log foresees it.
+
+    Attributes:
+        torque: (n, N) [N m; N].
+        share: (n,) of the squares left; below zero where it foresees worse than nothing does.
+        low: (n,) lower end of its 95 % interval, from the spread between blocks.
+    """
+
+    torque: Float[Tensor, "n N"]
+    share: Float[Tensor, " n"]
+    low: Float[Tensor, " n"]
+
+    def beyond(self, left: Float[Tensor, "n N"]) -> Float[Tensor, "n N"]:
+        """What is left without what is foreseen, where that helps at all."""
+        return left - self.torque * (self.share > 0).to(left).unsqueeze(1)
+
+
+def foreseen(problem: Problem, left: Float[Tensor, "n N"]) -> Foreseen:
+    """What a flexible predictor foresees on parts it has not seen.
 
     Args:
         problem: of the log.
         left: (n, N) what is left, zero where samples do not count [N m; N].
     """
     rng = np.random.default_rng(problem.settings.seed)
-    part, keep = problem.folds.fold.numpy(), problem.data.keep.numpy().astype(float)
+    part, keep = problem.folds.parts.numpy(), problem.data.keep.numpy().astype(float)
     motions, samples = problem.given.motions, problem.data.samples
     q, dq, ddq = (
         samples.pick([getattr(m, k) for m in motions]).numpy() for k in ("q", "dq", "ddq")
@@ -44,9 +70,9 @@ def foreseen(problem: Problem, left: np.ndarray) -> np.ndarray:
     def unit(x: np.ndarray) -> np.ndarray:
         return (x - x.mean(0)) / (x.std(0) + 1e-9)
 
-    share = np.zeros(len(left))
-    for j in range(len(left)):
-        if not keep[j].any():
+    out = np.zeros(left.shape)
+    for j, y in enumerate(left.numpy()):
+        if not y.any():
             continue
         speed = np.tanh(dq[:, j] / (0.05 * dq[:, j].std() + 1e-9))
         turned = since_reversal(q[:, j], dq[:, j], samples.bounds)
@@ -56,13 +82,19 @@ def foreseen(problem: Problem, left: np.ndarray) -> np.ndarray:
         waves = rng.normal(size=(state.shape[1], FEATURES)) * WIDTH
         x = np.cos(state @ waves + rng.uniform(0, 2 * np.pi, FEATURES))
         x = np.concatenate([x, own], 1) * keep[j][:, None]
-        y, told = left[j], np.zeros(len(left[j]))
-        for k in np.unique(part):
-            a, b = part != k, part == k
+        for k in range(1, problem.folds.count + 1):
+            # Samples at a border are of no part, and foreseen by none.
+            a, b = (part != k) & (part > 0), part == k
             normal = x[a].T @ x[a] + RIDGE * np.eye(x.shape[1])
-            told[b] = x[b] @ solve(normal, x[a].T @ y[a], assume_a="pos")
-        share[j] = max(0.0, 1 - ((y - told) ** 2).sum() / max((y**2).sum(), 1e-300))
-    return share
+            out[j, b] = x[b] @ solve(normal, x[a].T @ y[a], assume_a="pos")
+    told = torch.from_numpy(out)
+    # Shares, and their intervals by Student's t over what each block gains.
+    total = (left.square() * torch.from_numpy(part > 0)).sum(1).clamp(min=1e-300)
+    gains = block_sums(left.square() - (left - told).square(), problem.block).T / total
+    count = len(gains)
+    spread = gains.std(0) * count**0.5 if count > 1 else torch.full_like(total, torch.inf)
+    share, half = gains.sum(0), float(stdtrit(max(1, count - 1), tails()[1])) * spread
+    return Foreseen(told, share, share - half)
 
 
 def since_reversal(q: np.ndarray, dq: np.ndarray, bounds: Sequence[slice]) -> np.ndarray:
@@ -78,14 +110,9 @@ def since_reversal(q: np.ndarray, dq: np.ndarray, bounds: Sequence[slice]) -> np
 
 def noise_of_repeats(problem: Problem) -> np.ndarray:
     """RMS (n,) of what differs between repeats of a motion [N m; N]; nan without repeats."""
-    columns, samples = problem.given, problem.data.samples
-    nothing = np.full(columns.n, np.nan)
-    if not len(problem.repeats.pairs):
-        return nothing
-    pairs = zip(samples.segments, columns.motions, strict=True)
-    left = [s.tau - columns.model.torque(s, samples, m.torque) for s, m in pairs]
+    samples, nothing = problem.data.samples, np.full(problem.given.n, np.nan)
     shortest = 2 * samples.edge + samples.step
-    found = [s for s in problem.repeats.segments(samples.segments, left) if s.length > shortest]
+    found = [s for s in problem.apart if s.length > shortest]
     if not found:
         return nothing
     own = Samples(found, samples.cutoff)

@@ -13,11 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from torchid.design.columns import Place
 from torchid.gap.causes.candidates import Term
-from torchid.gap.causes.evidence import Evidence, Fit, spread_of, whitening
+from torchid.gap.causes.evidence import Evidence, Fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +50,8 @@ class Stack:
             columns = np.stack([t.columns for t in terms])
             own = (columns @ columns.transpose(0, 2, 1))[None]
         spread, low = np.stack([t.spread for t in terms]), np.stack([t.low for t in terms])
-        paid = np.array([math.log(t.shapes * evidence.forms.get(t.cause, 1)) for t in terms])
+        forms = (t.shapes * evidence.forms.get(t.cause, 1) for t in terms)
+        paid = np.array([math.log(f) - t.said for f, t in zip(forms, terms, strict=True)])
         return cls(place, tuple(terms), columns, own, spread, low, paid)
 
     def with_gap(self, gap: np.ndarray) -> np.ndarray:
@@ -94,7 +94,7 @@ class Screen:
         self._with_gap += [s.with_gap(self.evidence.gap) for s in new]
         self._with_term.clear()
 
-    def _products(self, term: Term) -> list[np.ndarray]:
+    def products(self, term: Term) -> list[np.ndarray]:
         """Products of a term's columns with those of every stack."""
         if term.serial not in self._with_term:
             columns = self.evidence.columns([term])
@@ -115,11 +115,7 @@ class Screen:
         evidence = self.evidence
         every = (*evidence.nuisance, *fit.terms)
         weight = samples / fit.losses
-        spread = spread_of(every)
-        # The fit's own columns, whitened: B B' is their covariance.
-        h = np.tensordot(weight, evidence.normal(every), 1)[:-1, :-1]
-        root, size = whitening(spread.T @ h @ spread)
-        white = solve_triangular(root, spread.T / size[:, None], lower=True)
+        white = evidence.white(every, weight)
         best: dict[object, tuple[float, Term]] = {}
         for k, stack in enumerate(self.stacks):
             own_weight = weight if stack.place is None else weight[[stack.place]]
@@ -127,7 +123,7 @@ class Screen:
             right = own_weight @ self._with_gap[k]
             g = np.tensordot(own_weight, stack.own, 1)
             if every:
-                parts = [np.tensordot(own_weight, self._products(t)[k], 1) for t in every]
+                parts = [np.tensordot(own_weight, self.products(t)[k], 1) for t in every]
                 cross = np.concatenate(parts)
                 right = right - fit.x @ cross
                 u = (white @ cross).reshape(-1, m, c)

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchid.effects.base import JointEffect, ModelEffect
-from torchid.gap.causes.candidates import Library, Term
-from torchid.gap.causes.evidence import Evidence, Fit, solved, spread_of
+from torchid.gap.causes.candidates import Library, Term, excluding
+from torchid.gap.causes.events import planes, pushes
+from torchid.gap.causes.evidence import Evidence, Fit, centre_of, solved, spread_of
 from torchid.gap.causes.screen import Screen
-from torchid.gap.search.terms import excluding
 from torchid.statistics.blocks import block_numbers
 
 TRIED = 10
@@ -99,6 +99,10 @@ class Search:
         """A fit with the samples that are independent in what it leaves."""
         return self.evidence.fit(fit.terms, self.evidence.independent(fit))
 
+    def without(self, fit: Fit, term: Term) -> Fit:
+        """A fit without a term, with as many samples."""
+        return self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
+
     def explanation(self, start: Sequence[Term] = ()) -> Found:
         """The likeliest set of causes whose every member is worth its name.
 
@@ -109,6 +113,8 @@ class Search:
         # Pushes first: a law that acts at an end or beyond a limit would explain one.
         fit = self.empty()
         self._offer(self._pushes(fit))
+        there = {t.key for t in start}
+        start = [*start, *(t for t in self.library.terms if t.shown and t.key not in there)]
         if start:
             fit = self.again(self.evidence.fit(start, fit.samples))
             fit = self.shrink(fit)
@@ -273,8 +279,9 @@ class Search:
         return [replace(t, shapes=term.shapes, key=term.key) for t in made if t is not None]
 
     def _pushes(self, fit: Fit) -> list[Term]:
-        """Pushes in windows, beside a fit."""
-        return self.library.pushes(self.evidence.left(fit), self.library.rows / fit.losses)
+        """Pushes in windows, and planes, beside a fit."""
+        left, weight = self.evidence.left(fit), self.library.rows / fit.losses
+        return [*pushes(self.library, left, weight), *planes(self.library, left, weight)]
 
     def _open(self, fit: Fit) -> list[int]:
         """Joints on which something is left to explain: more than differs between repeats; or, of a
@@ -289,8 +296,8 @@ class Search:
 
     def _offer(self, terms: list[Term]) -> None:
         """Candidates that are looked at from now on."""
-        there = {t.key for t in self.library.terms}
-        terms = [t for t in terms if t.key not in there]
+        there = {(t.key, t.effect) for t in self.library.terms}
+        terms = [t for t in terms if (t.key, t.effect) not in there]
         if terms:
             self.library.terms += terms
             self.evidence.refresh()
@@ -315,6 +322,7 @@ class Search:
             gap = gap - np.tensordot(
                 np.concatenate([x for _, x in once]), evidence.columns([t for t, _ in once]), (0, 1)
             )
+        centre = centre_of(every)
         full, spread = np.concatenate([evidence.columns(every), gap[:, None]], 1), spread_of(every)
         parts = []
         for p in np.unique(part):
@@ -322,7 +330,7 @@ class Search:
             parts.append(some @ some.transpose(0, 2, 1))
         whole, out = sum(parts), np.zeros(evidence.n)
         for g in parts:
-            x, _, _ = solved(whole - g, spread, fit.samples, evidence.floor)
+            x, _, _ = solved(whole - g, spread, fit.samples, evidence.floor, centre=centre)
             v = np.append(x, -1.0)
             out += (v @ g) @ v
         return np.maximum(out, 1e-300)
@@ -338,7 +346,10 @@ class Search:
         while fit.terms:
             whole = self.left_out(fit, woven)
             worth = [
-                max(
+                # What another sensor shows is there, however little of it the fit's torque has.
+                np.inf
+                if t.shown
+                else max(
                     self.worth(whole, self.left_out(fit, woven, t), self._share(fit, t)),
                     self._displaced(fit, t),
                 )

@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 
-from torchid.results.answer import Answer, Cause, LawCause, common_name
+from msgspec import UNSET
+
+from torchid.results.answer import Answer
+from torchid.results.cause import LINK, Cause, common_name, remedy_of
 from torchid.results.words import effect_words, listed, percent, sure
 
 CLEAR = 0.99
@@ -15,13 +18,12 @@ LEAST_STEP = 0.02
 
 def cause_line(cause: Cause) -> tuple[str, str, str, str]:
     """One cause: its name, what makes most of its torque, how sure it is, and what else it is."""
-    known = [s for s in cause.sizes if s.determined][:1]
     others = listed((effect_words(x) for x in cause.ambiguous_with), "or", most=2)
     # A word that stands at every cause says nothing.
     how_sure = "" if cause.how_sure is None or cause.how_sure > CLEAR else sure(cause.how_sure)
-    name = ("changed " if cause.changed else "") + cause.name
-    size = cause.values() if isinstance(cause, LawCause) else ""
-    size = cause.in_words(known[0]) if known else size
+    name = cause.name
+    size = cause.in_words(cause.known[0]) if cause.known else ""
+    size = size if cause.law is UNSET else cause.values()
     rivals = f"could also be {others}" if cause.ambiguous_with else ""
     return name[:1].upper() + name[1:], size, how_sure, rivals
 
@@ -41,15 +43,16 @@ def first_steps(answer: Answer) -> list[str]:
     add = not answer.of_positions
 
     def worth(causes: Sequence[Cause]) -> float:
-        shares = [c.closes for c in causes if c.closes == c.closes]
+        shares = [c.share for c in causes if c.share == c.share]
         return sum(shares) if add else max(shares, default=0.0)
 
-    for remedy, causes in sorted(same.items(), key=lambda pair: -worth(pair[1])):
+    for causes in sorted(same.values(), key=lambda causes: -worth(causes)):
         if steps and worth(causes) != 0 and worth(causes) < LEAST_STEP:  # 0 where none is known
             continue
         what = listed(dict.fromkeys(common_name(c, causes) for c in causes))
-        if causes[0].effect != "link_inertia":  # whose name has its place
+        if causes[0].effect != LINK:  # whose name has its place
             what += f", {answer.where(causes)}"
         removes = f" ({percent(worth(causes))} of the error)" if add else ""
+        remedy = remedy_of(causes)
         steps.append(f"{what}{removes}: {remedy[:1].lower()}{remedy[1:]}")
     return steps[:MOST_ADVICE]

@@ -1,0 +1,56 @@
+"""Windows of time in which pushes are looked for, and which push is which."""
+
+from functools import cached_property
+
+import numpy as np
+
+from torchid.design.segments import Samples
+from torchid.effects.base import Effect
+from torchid.effects.transient import Contact
+
+WINDOWS_S = (0.4, 0.8, 1.5, 3.0)
+"""Lengths of windows in which a push is looked for [s]."""
+
+Span = tuple[int, int]
+"""Window: first sample, and the one after the last."""
+
+
+class Windows:
+    """Windows in which pushes are looked for, and the pushes that were found.
+
+    Args:
+        samples: of the log.
+    """
+
+    def __init__(self, samples: Samples):
+        self.samples = samples
+        self._found: list[tuple[object, float, float]] = []
+
+    @cached_property
+    def spans(self) -> np.ndarray:
+        """(W, 2): first sample, and the one behind the last."""
+        out: list[Span] = []
+        for own in self.samples.bounds:
+            for seconds in WINDOWS_S:
+                size = max(3, round(seconds / self.samples.interval))
+                first = range(own.start, own.stop - size, max(1, size // 4))
+                out += [(i, i + size) for i in first]
+        return np.array(out).reshape(-1, 2)
+
+    @property
+    def count(self) -> int:
+        """W, one at least."""
+        return max(1, len(self.spans))
+
+    def key(self, effect: Effect) -> tuple[object, ...]:
+        """What an event is, whatever its shape: of two pushes at one place whose windows overlap
+        the one is the other."""
+        if not isinstance(effect, Contact):
+            return (*effect.identity, getattr(effect, "side", ""))
+        place = effect.tip, effect.along
+        start, stop = (float(t) for t in (effect.start or 0.0, effect.stop or 0.0))
+        for k, (where, a, b) in enumerate(self._found):
+            if where == place and start < b and a < stop:
+                return (effect.name, k)
+        self._found.append((place, start, stop))
+        return (effect.name, len(self._found) - 1)

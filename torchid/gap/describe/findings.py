@@ -1,0 +1,215 @@
+"""Causes as a person and a file can use them: effects, joints, alternatives, shares."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from msgspec import UNSET, UnsetType
+
+from torchid.design.gram import VISIBLE
+from torchid.design.segments import Samples, when
+from torchid.effects.base import Effect
+from torchid.effects.spring import JointSpring
+from torchid.effects.transient import Contact
+from torchid.gap.causes.candidates import Term
+from torchid.gap.causes.search import same_columns
+from torchid.gap.describe.claims import Claim, at_an_end, branch_of, with_a_name
+from torchid.gap.describe.model import PAYLOAD, Explanation, Solution
+from torchid.gap.describe.replication import replication
+from torchid.gap.describe.shares import Shares
+from torchid.gap.diagnosis import HowFar
+from torchid.gap.told import body_change, how_named, told, told_bodies
+from torchid.gap.wanted import BASE, LINK
+from torchid.results.cause import Cause, JudgedOn, Window
+from torchid.results.words import count
+from torchid.robot.inertia import InertialParameters
+from torchid.robot.model import Robot
+from torchid.typing import Float, Tensor
+
+SAME_NATS = 0.05
+"""Difference of evidence below which another cause leaves the same, and no data of this kind tell
+the two apart [nats]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is said of an explanation.
+
+    Attributes:
+        causes: the largest share first.
+        open: (cause, best alternative that other data could separate from it).
+    """
+
+    causes: tuple[Cause, ...]
+    open: tuple[tuple[Term, Term], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """What the causes of an explanation take of the error that it closes.
+
+    Attributes:
+        shares, alone: (K) of the whole error, with the others and by itself.
+        removes: (K, n) of each joint's error [N m; N].
+    """
+
+    shares: list[float]
+    alone: list[float]
+    removes: Float[Tensor, "K n"]
+
+    @classmethod
+    def of(cls, taken: Shares, far: HowFar) -> "Taken":
+        """Of an error before and after."""
+        return cls(*taken.of_all(far.less), taken.of_bars(far.rms_before, far.rms_after))
+
+
+def describe_findings(
+    found: Explanation, claims: Sequence[Claim], taken: Taken, far: HowFar, corrected: Robot
+) -> Findings:
+    """Findings of an explanation, each with what it cannot be told from; of the causes that have a
+    name.
+
+    Args:
+        found: the explanation.
+        claims: its causes.
+        taken: what each takes of the error.
+        far: how far all of them close it together.
+        corrected: the robot that is recommended.
+    """
+    causes, undecided = [], []
+    named = with_a_name(claims, taken.shares)
+    for k, one in enumerate(claims):
+        if not named[k]:
+            continue
+        # A curve over position that is none of the library's is told as the term that takes most.
+        alike = [i for i, x in enumerate(claims) if one.curve and x.law == one.law and not named[i]]
+        own = {
+            "ambiguous_with": (*one.ambiguous_with, *(claims[i].term.name for i in alike)),
+            "probabilities": one.probabilities,
+            "share": sum(taken.shares[i] for i in (k, *alike)),
+            "alone": taken.alone[k],
+            "removes": tuple(taken.removes[[k, *alike]].sum(0).tolist()),
+            "judged": far.judged if one.asked_again else JudgedOn(on=far.judged.on, how="fitted"),
+        }
+        causes.append(_cause(found, k, one, corrected, own))
+        separable = None if one.term.parametric else _separable(found, one)
+        if separable is not None:
+            undecided.append((one.term, separable))
+    return Findings(tuple(sorted(causes, key=lambda c: -c.share)), tuple(undecided))
+
+
+def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[str, Any]) -> Cause:
+    """The k-th cause of an explanation, with what else is told of it."""
+    solution, at, samples = found.solution, found.fixed + k, found.problem.data.samples
+    sure = one.sure if one.named else one.law_sure
+    # Of a set, and of a law none of whose terms is likely, no member is sure alone.
+    alone = 0.0 if one.one_of_a_set or not one.named else sure
+    narrow = one.curve or one.term.parametric
+    wide = one.branch_sure if narrow else max(one.branch_sure, one.law_sure)
+    own |= how_named(branch_of(one.term), sure, alone, wide)
+    if one.term.parametric:
+        links = one.term.joints if one.term.name == LINK else ()
+        return told_bodies(links, _change(found, links, corrected), **own)
+    part, values, std = solution.parts[at], solution.values[at], solution.std[at]
+    effect, many = part.effects[0], len(part.effects) > 1
+    return told(
+        (effect, values.tolist()), std.tolist(), solution.start, solution.model, solution.main(at),
+        joints=_felt(found, at), located=() if many else effect.joints, common=many,
+        replication=replication(solution, at, samples), window=_window(samples, effect),
+        notes=_notes(found, at), **own,
+    )  # fmt: skip
+
+
+def _window(samples: Samples, effect: Effect) -> Window | UnsetType:
+    """When a push was, in the time of its log."""
+    if not isinstance(effect, Contact) or effect.start is None or effect.stop is None:
+        return UNSET
+    name, start = when(samples.segments, effect.start)
+    return Window(name, start, start + effect.stop - effect.start)
+
+
+def _change(found: Explanation, links: Sequence[int], corrected: Robot) -> str:
+    """Of a link, from the model that is corrected to the recommended one; empty of no link."""
+    start = found.solution.start.robot
+    own = [start.own_links[joint] for joint in links]
+    every = [r.require_parameters("a change").pi[own] for r in (start, corrected)]
+    return body_change(*(InertialParameters(pi[0]) for pi in every)) if own else ""
+
+
+def _separable(found: Explanation, one: Claim) -> Term | None:
+    """The best alternative that other data could separate from a cause."""
+    for other, _ in one.others:
+        if other.name in (one.term.name, BASE) or same_columns(other, one.term):
+            continue
+        again, fit = found.instead(one.term, other), found.fit
+        differs = 0.5 * fit.samples * np.log(again.losses / fit.losses)
+        if np.abs(differs).sum() >= SAME_NATS:
+            return other
+    return None
+
+
+def _felt(found: Explanation, k: int) -> tuple[int, ...]:
+    """Joints of the k-th part; of a global effect those whose torque it changes by as much as is
+    worth a name."""
+    if joints := found.solution.parts[k].joints:
+        return joints
+    felt = found.mean(found.solution.torque(k).square()).sqrt() >= found.least
+    return tuple(felt.nonzero().flatten().tolist())
+
+
+def _told(solution: Solution, k: int) -> int:
+    """Directions of the k-th part's columns that the samples tell apart."""
+    a = solution.a[solution.at(k)].flatten(1)
+    gram = a @ a.T
+    size = gram.diagonal().clamp(min=1e-300).sqrt()
+    return max(1, int((torch.linalg.eigvalsh(gram / size / size.unsqueeze(1)) > VISIBLE).sum()))
+
+
+def _notes(found: Explanation, k: int) -> tuple[str, ...]:
+    """Coefficients that the data leave open, those that correct one of the model's own, and when a
+    contact was."""
+    solution, samples = found.solution, found.problem.data.samples
+    part, values, std = solution.parts[k], solution.values[k], solution.std[k]
+    assert part.term is not None
+    effect, out = part.effects[0], []
+    # Of a load only what the motion determines is known.
+    some_of_load = part.name == PAYLOAD and (told := _told(solution, k)) < len(values)
+    if some_of_load:
+        out.append(
+            f"the motion determines {count(told, 'combination')} of the ten parameters only; these "
+            "values are one choice of many with the same torque"
+        )
+    # Ten numbers are a body only if their pseudo-inertia is.
+    margin = InertialParameters(values.unsqueeze(0)) if part.name == PAYLOAD else None
+    if margin is not None and float(margin.consistency_margin()) < 0:
+        out.append(
+            "these ten load parameters fit the torque but are not physically possible; use "
+            "`torchid payload`"
+        )
+    for c, v, s in zip(part.coefficients, values.tolist(), std.tolist(), strict=True):
+        if s > abs(v) and not some_of_load:
+            out.append(f"{c.name} is not determined: {v:.3g} ± {s:.2g}")
+    out += [
+        f"{name} is at the end of its range: what lies beyond was not looked at"
+        for name in at_an_end(found.search.library, part.term)
+    ]
+    if part.seen is not None:
+        out.append(part.seen.said)
+    if part.instead is not None:
+        out.append("it stands in the place of the model's own, whose shape is another")
+    if isinstance(effect, JointSpring) and effect.curvature:
+        q = samples.of([s.motion.q[:, [effect.joint]].T for s in samples.segments])[0]
+        least, most = torch.aminmax(effect.stiffness(values.tolist(), q))
+        out.append(
+            f"k is the stiffness at q = 0; where the joint moved, from {float(q.min()):.3g} to "
+            f"{float(q.max()):.3g}, it is {float(least):.3g} to {float(most):.3g}"
+        )
+    window = _window(samples, effect)
+    if isinstance(effect, Contact) and window is not UNSET:
+        place = "" if effect.along is None else f"{effect.along:.0%} of the way along "
+        of_tip = "" if effect.tip is None else f"at {place}'{effect.tip}', "
+        said = f"from {window.from_s:.2f} to {window.to_s:.2f} s of '{window.trajectory}'"
+        out.append(of_tip + said)
+    return tuple(out)

@@ -1,0 +1,348 @@
+"""One cause of the error, the same wherever it is told: in memory, in JSON, in sentences.
+
+Its numbers are the arm's; what the robot's file has of them stands beside them. It needs no torch.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from torchid.results.agreement import Replication
+from torchid.results.friction import FrictionLaw
+from torchid.results.record import Joint, Part, Real, Values
+from torchid.results.words import (
+    BRANCHES,
+    digits,
+    effect_words,
+    joints_words,
+    listed,
+    measure,
+    percent,
+    unit_behind,
+)
+
+LINK = "link_inertia"
+"""Of inertial parameters."""
+MOST_SIZES = 3
+"""Numbers of a cause that are shown in a table."""
+MOST_NAMES = 2
+"""Logs that a sentence names."""
+
+NO_FIELD = "Give the simulator this torque: no field of its file takes a negative number."
+"""What to do about a number with a sign that files cannot say."""
+
+How = Literal["fitted", "left out in turn", "held out"]
+"""How data were judged: by a model that was fitted to them; by models each of which was fitted
+without the part that it is judged on; by a model that none of them took part in."""
+
+Role = Literal["named", "suspect", "small"]
+"""What is told of a cause: its name; that it is not sure enough for one; that it is sure, and
+removes less than was asked for."""
+
+
+def held_out_words(names: Iterable[str]) -> str:
+    """`run9`, `run8 and run9`, `3 held-out logs`."""
+    every = list(dict.fromkeys(names))
+    few = listed(every, nothing="held-out data")
+    return few if len(every) <= MOST_NAMES else f"{len(every)} held-out logs"
+
+
+class JudgedOn(Part, frozen=True, kw_only=True):
+    """Data that something was judged on.
+
+    Attributes:
+        on: names of the logs.
+        how: they were judged.
+    """
+
+    on: tuple[str, ...] = ()
+    how: How
+
+    def error(self, value: float, unit: str) -> "Error":
+        """An error on them."""
+        return Error(value=value, unit=unit, on=self.on, how=self.how)
+
+    @property
+    def words(self) -> str:
+        """`on run9`, `on motions left out`, `on the data that were fitted`."""
+        if self.how == "held out":
+            return f"on {held_out_words(self.on)}"
+        if self.how == "fitted":
+            return "on the data that were fitted"
+        return "on stretches left out" if len(self.on) == 1 else "on motions left out"
+
+    @property
+    def whole(self) -> str:
+        """The same, with what was done to them: `on run9, held out`."""
+        end = {"held out": ", held out", "left out in turn": " of the fit", "fitted": ""}
+        named = self.how != "held out" or 0 < len(self.on) <= MOST_NAMES
+        return self.words + end[self.how] * named
+
+
+class Error(JudgedOn, frozen=True, kw_only=True):
+    """How far a model errs, and on which data.
+
+    Attributes:
+        value: RMS [its unit].
+        unit: of it.
+    """
+
+    value: Real
+    unit: str
+
+    @property
+    def size(self) -> str:
+        """`0.31 N m`."""
+        return f"{digits(self.value)} {self.unit}"
+
+
+class Window(Part, frozen=True):
+    """A stretch of a trajectory [s]."""
+
+    trajectory: str
+    from_s: float
+    to_s: float
+
+
+@dataclass(frozen=True)
+class Size:
+    """One number of a cause.
+
+    Attributes:
+        name, unit: of the number; unit 1 of a plain number.
+        value: the arm's.
+        std: standard deviation; None where the data do not determine it.
+        was: what the robot's file has; None of what it has not.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float | None = None
+    was: float | None = None
+
+    @property
+    def rounded(self) -> str:
+        """Its value with as many digits as its standard deviation leaves."""
+        return digits(float(measure(self.value, self.std, "").split()[0]), 6)
+
+    @property
+    def determined(self) -> bool:
+        """Whether the data say more than its order of magnitude."""
+        return self.std is None or self.std < abs(self.value)
+
+    @property
+    def words(self) -> str:
+        """`0.61 ± 0.02 N m`; of what the file has too `60 -> 15.0 ± 0.3 N m s/rad`."""
+        was = "" if self.was is None else f"{digits(self.was)} -> "
+        return was + measure(self.value, self.std, unit_behind(self.unit))
+
+    @property
+    def named(self) -> str:
+        """`Fv = 5.6 ± 0.7 N m s/rad`."""
+        return f"{self.name} = {self.words}"
+
+
+class Cause(Part, frozen=True, kw_only=True):
+    """One cause of the error.
+
+    Attributes:
+        effect: its name, as `torchid effects` lists it; `link_inertia` of inertial parameters.
+        family: of the effect.
+        branch: of the tree of causes, `friction`, say, where no more than that is sure; then
+            `effect` is the likeliest of these.
+        role: what is told of it.
+        joints: whose torque it changes: those that it is at; of what belongs to the whole arm those
+            that feel it. Of inertial parameters links; none: all of them.
+        located: joints that it is at, those of `joints` if not given; none of what belongs to the
+            whole arm.
+        common: whether one coefficient is common to all joints.
+        ambiguous_with: effects that these data cannot separate from it.
+        probabilities: of each of that set and of it alone, by name, where they are known [1].
+        parameters: its numbers on the arm by name: coefficients, shapes and places.
+        file: what the robot's file has of the coefficients; empty of an effect that it has not.
+        std: standard deviations of the coefficients; null where the data do not determine one.
+        unit: of coefficients and shapes; `1` of plain numbers.
+        shape, places: which of the parameters are shapes, and which places.
+        main: the coefficient that makes most of its torque in these logs.
+        how_sure: probability of it, or of what the name says where that is more: of the set, of the
+            branch; the only one that is printed anywhere. None where none is known.
+        share: of the error that it takes away, the mean over all orders in which causes may join,
+            so that the shares of all causes add up [1].
+        alone: share of the error that it takes away by itself [1].
+        removes: (n,) what it takes away of each joint's error [N m; N]; they add up, too.
+        closes_rms: of what has no name: root of the fall of the mean square of the error, on the
+            joint where that is most [N m; N].
+        judged: data that say how sure it is and what it takes away; absent where it is not known.
+        window: of what happened once; else absent.
+        law: all friction of its joint, where this is several terms of it as one; else absent.
+        replication: whether it is the same in every motion; null of what is asked no such thing.
+        meaning: of the effect, in words.
+        remedy: what to do, one sentence, in the names of its numbers; of what has no name what
+            would settle it.
+        source: of the effect's equation.
+        notes: sentences, e.g. that a coefficient is not determined.
+    """
+
+    effect: str
+    family: str = ""
+    branch: str = ""
+    role: Role = "named"
+    joints: tuple[Joint, ...]
+    located: tuple[Joint, ...] | None = None
+    common: bool = False
+    ambiguous_with: tuple[str, ...] = ()
+    probabilities: dict[str, Real] = msgspec.field(default_factory=dict)
+    parameters: Values = msgspec.field(default_factory=dict)
+    file: dict[str, Real] = msgspec.field(default_factory=dict)
+    std: dict[str, float | None] = msgspec.field(default_factory=dict)
+    unit: dict[str, str] = msgspec.field(default_factory=dict)
+    shape: tuple[str, ...] = ()
+    places: tuple[str, ...] = ()
+    main: str = ""
+    how_sure: float | None = None
+    share: Real = math.nan
+    alone: Real = math.nan
+    removes: tuple[Real, ...] = ()
+    closes_rms: Real = math.nan
+    judged: JudgedOn | UnsetType = UNSET
+    window: Window | UnsetType = UNSET
+    law: FrictionLaw | UnsetType = UNSET
+    replication: Replication | None = None
+    meaning: str = ""
+    remedy: str = ""
+    source: str | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.located is None:
+            msgspec.structs.force_setattr(self, "located", self.joints)
+        super().__post_init__()
+
+    @property
+    def at(self) -> tuple[Joint, ...]:
+        """Joints that it is at, from 0; links of inertial parameters; none: the whole arm."""
+        return self.located or ()
+
+    @property
+    def changed(self) -> bool:
+        """Whether the robot's file has it already, with other numbers."""
+        return bool(self.file)
+
+    @property
+    def one_of_a_set(self) -> bool:
+        """Whether it is the likeliest of a set none of which is likely by itself."""
+        return self.probabilities.get(self.effect, 1.0) < 0.5
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Coefficients, that which makes most of its torque first."""
+        return tuple(
+            Size(name, self.unit.get(name, ""), float(value), std, self.file.get(name))
+            for name, std in sorted(self.std.items(), key=lambda item: item[0] != self.main)
+            if isinstance(value := self.parameters.get(name), float | int)
+        )
+
+    @property
+    def known(self) -> tuple[Size, ...]:
+        """Those that the data determine; of what the file has those that it has."""
+        return tuple(
+            s for s in self.sizes if s.determined and (s.was is not None or not self.changed)
+        )
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        if self.branch:
+            likely = msgspec.structs.replace(self, branch="").name
+            return f"{BRANCHES[self.branch]} (likely {likely})"
+        if self.effect != LINK:
+            return effect_words(self.effect)
+        links = listed(str(k + 1) for k in self.at)
+        return f"inertia of link {links}" if self.at else "inertial parameters"
+
+    def values(self, std: bool = True) -> str:
+        """Its numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60 -> 15 N
+        m s/rad`; where the data determine none of them, or bodies have none, how much of the error
+        it removes; and of a load that its mass is not known. Without standard deviations the first
+        alone. Of a law `1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`."""
+        if self.law is not UNSET:
+            return self.law.words(std)
+        massless = self.effect == "payload" and any(not s.determined for s in self.sizes[:1])
+        end = "; mass not known" if massless else ""
+        sizes = self.known[: 1 if self.effect == "payload" else MOST_SIZES]
+        if not sizes:
+            return "" if math.isnan(self.share) else f"{percent(self.share)} of the error{end}"
+        if not std:
+            sizes = (replace(sizes[0], std=None, value=float(sizes[0].rounded)),)
+        return ", ".join(map(self.in_words, sizes)) + end
+
+    def in_words(self, size: Size) -> str:
+        """One of its numbers, with its name where it has several."""
+        return size.words if len(self.sizes) == 1 else size.named
+
+    @property
+    def rivals(self) -> str:
+        """`, or Stribeck friction`: what the log cannot separate from it."""
+        others = [effect_words(name) for name in self.ambiguous_with]
+        more = f" or {len(others) - 1} others" if len(others) > 2 else ""
+        return f", or {others[0] if more else listed(others, 'or')}{more}" if others else ""
+
+    @property
+    def place(self) -> str:
+        """`on joint 2`; nothing of the whole arm, or where the name has it."""
+        return "" if self.effect == LINK or not self.at else f"on {joints_words(self.at)}"
+
+
+def values_of(same: Sequence[Cause]) -> str:
+    """The main number of causes of one name, joint by joint: `Fv = 60 -> 15, 20, 12 N m s/rad`."""
+    size = max(same, key=lambda c: c.share if c.share == c.share else 0.0).sizes[0]
+    by_joint = sorted(same, key=lambda c: c.at)
+    own = [next((s for s in c.sizes if s.name == size.name), None) for c in by_joint]
+    return f"{size.name} = {_side_by_side(own)} {unit_behind(size.unit)}".rstrip()
+
+
+def _side_by_side(sizes: Sequence[Size | None]) -> str:
+    """Of several joints: what the file has, once where it is the same everywhere, and the arm."""
+    was = ["" if s is None or s.was is None else f"{digits(s.was)} -> " for s in sizes]
+    one = was[0] if len(set(was)) == 1 else ""
+    each = zip(was, sizes, strict=True)
+    return one + ", ".join(
+        ("" if one else old) + ("-" if s is None else s.rounded) for old, s in each
+    )
+
+
+def remedy_of(same: Sequence[Cause], short: bool = False) -> str:
+    """What to do about causes of one remedy, with the arm's numbers: `Set the joint's damping to
+    15, 20 N m s/rad in the simulator.`
+
+    Args:
+        same: of one remedy.
+        short: its first clause alone.
+    """
+    text = same[0].remedy
+    if short:
+        text = re.split(r"[,;:(]", text, maxsplit=1)[0].strip().rstrip(".")
+    for size in same[0].sizes:
+        by_joint = sorted(same, key=lambda c: c.at)
+        own = [s for c in by_joint for s in c.sizes if s.name == size.name]
+        field = re.compile(rf"\bto {size.name}\b")
+        if not field.search(text) or len(own) < len(same):
+            continue
+        if any(s.value < 0 for s in own):
+            return NO_FIELD
+        values = f"to {', '.join(s.rounded for s in own)} {unit_behind(size.unit)}"
+        text = field.sub(values.rstrip(), text)
+    return text
+
+
+def common_name(cause: Cause, others: Sequence[Cause]) -> str:
+    """The name of a cause among others: of one effect no more than is sure of each."""
+    if cause.effect == LINK:  # whose name has its place
+        return cause.name
+    return next((c for c in others if c.effect == cause.effect and c.branch), cause).name
