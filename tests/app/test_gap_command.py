@@ -118,6 +118,32 @@ def test_friction_is_found_and_the_saved_model_has_it(command, runs, tmp_path, t
     assert said["which"] == []
 
 
+def test_a_later_log_is_held_against_an_earlier_one(command, runs, tmp_path, types_unchecked):
+    a, b, again = (runs / f"{name}.csv" for name in ("a", "b", "again"))
+    target, model = tmp_path / "gap.json", tmp_path / "arm.yaml"
+    done = command("gap", "3r", b, *FEW, "--before", a, "--json", target, "--save-model", model)
+    assert done.code == 0, done.err
+    said = json.loads(target.read_text())
+    assert said["since"] == "a"
+    assert [(w["effect"], w["when"]) for w in said["which"]] == [("coulomb_friction", "in both")]
+    assert "in a already" in " ".join(done.out.split())
+    # The log that was asked is beside the model, and is what the next one is held against.
+    rows = tmp_path / "arm.rows.npz"
+    assert rows.is_file()
+    done = command("gap", model, again, *FEW, "--json", target)
+    assert done.code == 0, done.err
+    assert json.loads(target.read_text())["since"] == "b"
+    rows.write_bytes(rows.read_bytes()[:-1])
+    refused = command("gap", model, again, *FEW)
+    assert refused.code == 1
+    assert "--no-rows" in refused.err
+    other = tmp_path / "private.yaml"
+    done = command("gap", model, again, *FEW, "--no-rows", "--save-model", other, "--json", target)
+    assert done.code == 0, done.err
+    assert "since" not in json.loads(target.read_text())
+    assert not (tmp_path / "private.rows.npz").exists()
+
+
 def test_ctrl_c_keeps_the_answer_that_stood(command, runs, tmp_path, monkeypatch):
     """Of a diagnosis that is stopped behind its search."""
 

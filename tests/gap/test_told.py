@@ -56,3 +56,10 @@ def test_bodies_are_links_or_all() -> None:
     assert (link.name, link.at, every.name, every.at) == (
         "inertia of link 2", (1,), "inertial parameters", ()
     )  # fmt: skip
+
+
+def test_what_all_joints_share_and_none_feels_much_can_be_read_back() -> None:
+    effect = ViscousFriction(0)
+    cause = told((effect, [0.4]), [0.1], model(), model(), 0, joints=(), located=(), common=True)
+    assert cause.at == ()
+    assert valued(cause, ROBOT) == (effect, [0.4])

@@ -109,6 +109,7 @@ def test_written_and_read_back(tmp_path: Path) -> None:
         drawn(4, names=("viscous_friction Fv2",), links=3),
         left=torch.tensor([0.1, 0.2, 0.3]).double(),
         between={"viscous_friction Fv2": 0.04},
+        log=("arm.rows.npz", "0" * 64),
     )
     write_robot(replace(robot, knowledge=known), tmp_path / "arm.yaml")
     again = load_robot(tmp_path / "arm.yaml").knowledge
@@ -120,6 +121,9 @@ def test_written_and_read_back(tmp_path: Path) -> None:
     assert again.left is not None
     assert again.left.tolist() == known.left.tolist()
     assert again.between == known.between
+    assert again.log == known.log
+    # What several logs know together is none of them.
+    assert again.plus(known).log is None
     assert load_robot("3r").knowledge is None
 
 
@@ -151,6 +155,7 @@ def test_other_parameters_are_not_known() -> None:
         ({"of": []}, "unknown key"),
         ({"left": ["0.1", "0.2"]}, "wrong size"),
         ({"between_sessions": ["Fv2"]}, "not a number"),
+        ({"log": ["arm.rows.npz"]}, "SHA-256"),
     ],
 )
 def test_a_damaged_file_is_one_error(change: dict[str, object], said: str) -> None:

@@ -44,6 +44,10 @@ class _Asked:
         real: Log of the arm, one for each of --simulated.
         force: Diagnose a log that looks wrong (order or sign of joints, units, lag, a run with a
             load of its own) all the same, and say so first.
+        before: Earlier log of the arm: says of each cause whether it is new since that log or in
+            both. May be given several times. Without it the log that the model's own file names.
+        no_rows: Neither keep the log beside the model of --save-model (MODEL.rows.npz), where its
+            motion is private, nor read that of ROBOT.
         calibrate: Plant so many causes, one at a time, in what the answer leaves of the log, and
             say how often each kind is named: minutes.
     """
@@ -57,6 +61,8 @@ class _Asked:
     simulated: opt.LogFiles = None
     real: opt.LogFiles = None
     force: Switch = False
+    before: opt.LogFiles = None
+    no_rows: Switch = False
     calibrate: Annotated[int | None, typer.Option(metavar="N", min=1)] = None
 
 
@@ -124,6 +130,7 @@ def gap_command(
         result = torchid.diagnose(
             found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
             force=asked.force, progress=progress, watch=watch,
+            rows=not asked.no_rows, before=asked.before and trials.read(asked.before, found),
         )  # fmt: skip
     model = None if asked.save_model is None else str(asked.save_model)
     words = model_words(result.answer, model, trials.robot)
@@ -135,7 +142,7 @@ def gap_command(
             settings=settings_of(result, asked.servo),
         )
     ]  # fmt: skip
-    output.put(asked.save_model, result.write_corrected)
+    output.put(asked.save_model, partial(result.write_corrected, rows=not asked.no_rows))
     output.put(asked.view, partial(torchid.write_view, result))
     if kind is not None and output.out is not None:
         done = torchid.correct(
@@ -189,6 +196,7 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         "--held-out": trials.held_out,
         "--to": asked.to,
         "--view": asked.view,
+        "--before": asked.before,
     }
     if any(others.values()):
         raise TorchidError(
@@ -218,6 +226,6 @@ def _pair(output: Output, trials: _Trials, asked: _Asked, settings: GapSettings)
         settings={} if result.of_arm is None else settings_of(result.of_arm, None),
     )  # fmt: skip
     try:
-        output.put(asked.save_model, result.write_corrected)
+        output.put(asked.save_model, partial(result.write_corrected, rows=not asked.no_rows))
     finally:  # what differs is said where it is no model, too
         output.tell(kept)

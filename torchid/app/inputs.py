@@ -148,7 +148,8 @@ def require_free(given: Mapping[str, Any], results: Sequence[str]) -> None:
         results: names of files in the folder that --out names.
     """
     folder, model = given.get("out"), given.get("save_model")
-    taken = [] if model is None or not model.exists() else [str(model)]
+    files = [] if model is None else [model, model.with_suffix(".rows.npz")]
+    taken = [str(file) for file in files if file.exists()]
     if folder is not None:
         names = [name.format(**given) for name in results]
         if any((folder / name).exists() for name in names):

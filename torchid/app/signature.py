@@ -40,7 +40,7 @@ LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
 _REST = "*"
 _PANELS = (
     ("Options", "to result loaded effects effect servo * held_out save out report save_model"),
-    ("Two logs", "simulated real"),
+    ("Two logs", "simulated real before no_rows"),
     ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects"),
     ("Search", "calibrate"),
     ("Search", "runs stages generations population penalty schedule engine certificate"),

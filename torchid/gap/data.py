@@ -32,6 +32,7 @@ from torchid.design.segments import (
 from torchid.design.signal import DRIVE_GAIN, SENSOR_GAIN, from_current, without_signal
 from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
+from torchid.gap.rows import STRETCH
 from torchid.gap.settings import GapSettings
 from torchid.identification.logs import prepared, refuse_repeated
 from torchid.log.model import Log
@@ -42,9 +43,6 @@ from torchid.typing import Bool, Float, Int, Tensor
 LONGEST = 2_100.0
 """Seconds of motion times joints that are searched: five minutes of seven joints, whose intervals
 are far below what is worth a name. The search keeps the columns of all candidates there."""
-
-STRETCH = 30.0
-"""Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
 
 FALSE_SWING = 0.01
 """Level of a false link that swings, among all joints [1]."""

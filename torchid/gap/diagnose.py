@@ -5,13 +5,16 @@ from dataclasses import fields, replace
 
 from threadpoolctl import threadpool_limits
 
+from torchid.design.motion import no_torque
 from torchid.design.sensor import sensor_of
 from torchid.doctor.first import ask_first
 from torchid.errors import TorchidError
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch
+from torchid.gap.rows import LogRows, rows_of
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
+from torchid.identification.logs import refuse_repeated
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress
@@ -37,6 +40,8 @@ def diagnose(
     force: bool = False,
     progress: Progress | None = None,
     watch: Watch | None = None,
+    before: LogLike | None = None,
+    rows: bool = True,
 ) -> Diagnosis:
     """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
 
@@ -56,6 +61,10 @@ def diagnose(
         progress: called with (stage, done, total).
         watch: called with an `Answer` of status `searching` whenever more is known: first of the
             gap alone. Its errors are of data that were fitted.
+        before: an earlier log of the arm, with torques: each cause is then new since that log, or
+            in both; base parameters and the model's own effects are fitted to both. If None, the
+            log that the model's own file names.
+        rows: whether that file is read (MODEL.rows.npz, as `--save-model` writes it).
 
     Returns:
         A `TorqueDiagnosis` [N m; N] or a `PositionDiagnosis` [mrad]: `answer` is the same for both.
@@ -63,7 +72,8 @@ def diagnose(
     Raises:
         WrongLogError: a decisive check of `torchid.doctor.first` says that a log is wrong.
         LogError: logs that do not fit the robot or cannot be used.
-        TorchidError: settings or a servo that the log has no use for.
+        RobotError: the file of the model's log is another one than the model was written with.
+        TorchidError: settings, a servo or an earlier log that the log has no use for.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -82,6 +92,11 @@ def diagnose(
         raise TorchidError(
             "`servo=...` is for logs of commands and positions.", got=f"{log.label}: torques"
         )
+    if not torques and before is not None:
+        raise TorchidError(
+            "`before=...` is for logs of torques.", got=f"{log.label}: commands and positions"
+        )
+    earlier, missing = earlier_log(robot, before, log, rows=rows and torques)
     every = log if held_out is None else Log.concatenate([log, held_out])
     say = progress or (lambda stage, done, total: None)
     say("checking the log", 0, 1)
@@ -94,14 +109,39 @@ def diagnose(
         if torques:
             found = diagnose_torque(
                 robot, handed.pop(), held_out=held_out, settings=settings, progress=say,
-                watch=watch, force=force,
+                watch=watch, force=force, before=earlier,
             )  # fmt: skip
         else:
             found = _of_positions(robot, handed.pop(), held_out, settings, servo, say, watch)
     answer = found.answer
     settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
     text = "" if settled and not doubts.wrong else doubts.short
-    return replace(found, doubt=text, warnings=(*doubts.warnings, *found.warnings))
+    return replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *found.warnings))
+
+
+def earlier_log(
+    robot: Robot, before: LogLike | None, log: Log, *, rows: bool = True
+) -> tuple[Log | LogRows | None, tuple[str, ...]]:
+    """The log that another is held against, and a warning where the model's own is missing.
+
+    Args:
+        robot: the simulator.
+        before: that log, if it is given.
+        log: that is asked.
+        rows: whether that of the model's own file is read.
+
+    Raises:
+        LogError: the earlier log is the one that is asked, or has no torque.
+        RobotError: as `LogRows.read`.
+    """
+    if before is not None:
+        earlier = as_log(before, robot)
+        if sensor_of(earlier, robot) == "position":
+            raise no_torque(earlier)
+        refuse_repeated(log, earlier, "is in the earlier log and also in the one that is asked")
+        return earlier, ()
+    found = rows_of(robot) if rows else None
+    return (None, (found,)) if isinstance(found, str) else (found, ())
 
 
 def _of_positions(

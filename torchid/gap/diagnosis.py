@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
 from torchid.design.columns import Columns, Model
 from torchid.design.segments import EDGE, NEVER, Samples, Segment
@@ -31,6 +31,7 @@ from torchid.gap.record import (
     Status,
     Where,
 )
+from torchid.gap.rows import LogRows, write_with_rows
 from torchid.gap.settings import GapSettings
 from torchid.gap.told import LEFT_OUT
 from torchid.notebooks import data_frame
@@ -42,7 +43,6 @@ from torchid.results.record import Rows, by_joint
 from torchid.results.replication import agreement_of
 from torchid.results.words import count, effect_words, joints_words, listed
 from torchid.robot.model import Robot, torque_unit
-from torchid.robot.writer import write_robot
 from torchid.simulators.nearest_fields import NearestFields, nearest_fields
 from torchid.typing import Bool, Float, Int, Tensor
 
@@ -243,6 +243,8 @@ class TorqueDiagnosis(Diagnosis):
         suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known of the model before, and what this log adds.
         doubt: what speaks against the log, which the headline says first.
+        since: the earlier log that causes are held against; absent without one.
+        rows: the log, as a file beside the corrected model's holds it.
     """
 
     robot: Robot
@@ -269,6 +271,8 @@ class TorqueDiagnosis(Diagnosis):
     suspects: tuple[Cause, ...] = ()
     knowledge: Known | None = None
     doubt: str = ""
+    since: str | UnsetType = UNSET
+    rows: LogRows | None = None
 
     def __repr__(self) -> str:
         effects = ", ".join(c.effect for c in self.which) or "no effects"
@@ -359,6 +363,7 @@ class TorqueDiagnosis(Diagnosis):
             small=self.small,
             reason=self._reason,
             doubt=self.doubt or self._foreign or UNSET,
+            since=self.since,
         )
 
     @property
@@ -366,6 +371,8 @@ class TorqueDiagnosis(Diagnosis):
         """Why nothing is named; empty where something is, or where there is no more to say."""
         if self.causes:
             return ""
+        if self.since:
+            return f"Nothing is new since {self.since}."
         hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
         if self.status == "negligible":
             small = (f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small)
@@ -388,13 +395,18 @@ class TorqueDiagnosis(Diagnosis):
         alien = bool(alien_joints(self.traces).any())
         return ALIEN if alien else FOREIGN if is_foreign(self.traces) else ""
 
-    def write_corrected(self, path: str | Path) -> None:
-        """Write the corrected robot with its effects as a .yaml.
+    def write_corrected(self, path: str | Path, *, rows: bool = True) -> None:
+        """Write the corrected robot with its effects as a .yaml, and beside it, as .rows.npz, the
+        log, so that a later one can be held against it.
+
+        Args:
+            path: of the .yaml.
+            rows: whether the log is kept; its motion may be private.
 
         Raises:
-            TorchidError: the file cannot be written.
+            TorchidError: a file cannot be written.
         """
-        write_robot(self.corrected, path)
+        write_with_rows(self.corrected, self.rows if rows else None, Path(path))
 
     @property
     def over_time(self) -> TorqueOverTime:

@@ -26,7 +26,7 @@ def telling(watch: Watch, robot: Robot) -> Callable[[Search, Fit], None]:
 def so_far(search: Search, fit: Fit, robot: Robot) -> Answer:
     """What a fit that is not finished says."""
     empty = search.evidence.fit((), fit.samples)
-    before, after = (np.sqrt(f.losses / search.library.rows) for f in (empty, fit))
+    before, after = (search.library.rms(search.evidence.left(f)) for f in (empty, fit))
     levels = zip(robot.joint_names, before.tolist(), after.tolist(), strict=True)
     whole = float(np.linalg.norm(before)), float(np.linalg.norm(after))
     causes = (_cause(t, x.tolist()) for t, x in zip(fit.terms, fit.values(), strict=True))

@@ -13,7 +13,7 @@ from torchid.gap.wanted import Wanted
 from torchid.results.cause import JudgedOn
 from torchid.robot.model import Robot
 from torchid.statistics.bagging import Draws
-from torchid.typing import Int, Tensor
+from torchid.typing import Bool, Int, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,8 @@ class Problem:
         wanted: what is looked for.
         settings: the user's.
         fitted_first: whether the model as given was fitted, because the robot has no parameters.
+        asked: (N,) samples of the log whose gap is asked for, where data, folds, blocks and repeats
+            are those of an earlier log as well; None where there is none.
     """
 
     given: Columns
@@ -43,6 +45,7 @@ class Problem:
     wanted: Wanted
     settings: GapSettings
     fitted_first: bool
+    asked: Bool[Tensor, " N"] | None = None
 
     @property
     def robot(self) -> Robot:

@@ -327,6 +327,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         knowledge: what was known before, and what this log adds.
         nearest_fields: for effects of `corrected` that an MJCF or URDF has no field for; none in
             older files.
+        since: the earlier log that causes are held against; absent without one.
         seed: of everything random, from a command.
     """
 
@@ -351,6 +352,7 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     residual: tuple[Residual, ...] = ()
     knowledge: Known | None = None
     nearest_fields: tuple[NearestFields, ...] = ()
+    since: str | msgspec.UnsetType = msgspec.UNSET
     seed: int | msgspec.UnsetType = msgspec.UNSET
 
     @property

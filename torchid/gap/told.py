@@ -104,7 +104,8 @@ def valued(cause: Cause, robot: Robot) -> Valued:
     """The effect that a cause is, with the arm's coefficients."""
     kind = effect_kind(cause.effect)
     own = {f.name for f in fields(kind)} | {c.name for c in kind.coefficients}
-    place = {"joint": cause.joints[0] + 1} if "joint" in own else {}
+    # What all joints share may be felt by none of them as much as is worth a name.
+    place = {"joint": (*cause.joints, 0)[0] + 1} if "joint" in own else {}
     values = {k: v for k, v in cause.parameters.items() if k in own}
     return effect_from_record({"effect": kind.name, **place, **values}, robot)
 

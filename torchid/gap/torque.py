@@ -19,7 +19,7 @@ from torchid.design.segments import Segment
 from torchid.effects.motion import Motion
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
-from torchid.gap.causes.explain import Explained, explain
+from torchid.gap.causes.explain import Explained, explain, of_asked_log
 from torchid.gap.describe.checked import Decision, decide
 from torchid.gap.describe.claims import claims_of
 from torchid.gap.describe.closing import budget, residuals
@@ -34,9 +34,11 @@ from torchid.gap.describe.unseen import next_experiment, not_testable
 from torchid.gap.describe.verdict import status_of, warnings_of
 from torchid.gap.describe.where import where
 from torchid.gap.diagnosis import TorqueDiagnosis
+from torchid.gap.earlier import beside, earlier_of
 from torchid.gap.early import Watch, telling
 from torchid.gap.pose import pose
 from torchid.gap.record import Budget, Known
+from torchid.gap.rows import LogRows, kept
 from torchid.gap.settings import GapSettings
 from torchid.gap.told import told_bodies, valued
 from torchid.identification.knowledge import known_names
@@ -64,6 +66,7 @@ def diagnose_torque(
     progress: Progress | None = None,
     watch: Watch | None = None,
     force: bool = False,
+    before: Log | LogRows | None = None,
 ) -> TorqueDiagnosis:
     """A diagnosis of logs with torques; arguments and errors are those of `torchid.diagnose`.
 
@@ -80,12 +83,17 @@ def diagnose_torque(
     say = in_shares(progress, STAGES)
     say("preparing")
     problem = pose(robot, log, held_out, settings, force)
-    del log, held_out  # a long one is searched in part, and may now be let go
+    # Of an arm that stands nothing but a push is told.
+    before = None if problem.data.stands else before
+    earlier = None if before is None else earlier_of(before, problem, force)
+    del log, held_out, before  # a long one is searched in part, and may now be let go
     say("searching for effects")
     # Of no torque, or of an arm that stands still, there is nothing to say yet.
     tells = bool(problem.data.keep.any()) and not problem.data.stands
     told = telling(watch, robot) if tells and watch is not None else None
-    explained = explain(problem, told)
+    asked = problem if earlier is None else beside(problem, earlier)
+    explained = of_asked_log(explain(asked, told), problem)
+    problem = explained.search.library.problem
     if not explained.found.fit.terms:
         problem.data.require_motion()
     say("judging")
@@ -94,7 +102,7 @@ def diagnose_torque(
     say("locating")
     result = describe_diagnosis(decision, explained)
     say("done")
-    return result
+    return result if earlier is None else replace(result, since=earlier.source)
 
 
 def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagnosis:
@@ -164,6 +172,7 @@ def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagno
         small=small,
         suspects=(*unnamed, *causes_of_few_runs(found, explained)),
         knowledge=known,
+        rows=kept(data.samples, problem.robot),
     )
 
 

@@ -53,12 +53,19 @@ def prepared(
     return even, (*noticed, *beyond, *even.warnings)
 
 
-def refuse_repeated(log: Log, held_out: Log | None) -> None:
+def refuse_repeated(
+    log: Log, other: Log | None, why: str = "is held out and also among those to fit"
+) -> None:
     """Raise if a trajectory is there twice: fitted twice, it would look twice as certain; fitted
-    and held out, its errors would mean nothing."""
+    and held out, its errors would mean nothing.
+
+    Args:
+        log, other: with trajectories of which each is there once.
+        why: what is wrong with one that both have.
+    """
     parts = [(part, "is given twice") for part in log.trajectories()]
-    kept = [] if held_out is None else held_out.trajectories()
-    parts += [(part, "is held out and also among those to fit") for part in kept]
+    kept = [] if other is None else other.trajectories()
+    parts += [(part, why) for part in kept]
     # Of thousands of trajectories only those that begin alike are compared.
     alike: dict[tuple[float, ...], list[Log]] = {}
     for part, how in parts:

@@ -72,7 +72,7 @@ class PairDiagnosis(Result):
         """As the JSON has it."""
         return self.found
 
-    def write_corrected(self, path: str | Path) -> None:
+    def write_corrected(self, path: str | Path, *, rows: bool = True) -> None:
         """Write the simulator's robot with what the arm has otherwise, as a .yaml.
 
         Raises:
@@ -83,7 +83,7 @@ class PairDiagnosis(Result):
                 "there is no corrected model: effects of simulator and arm were not compared.",
                 got="; ".join(self.found.warnings),
             )
-        self.of_arm.write_corrected(path)
+        self.of_arm.write_corrected(path, rows=rows)
 
     @property
     def faults(self) -> tuple[Fault, ...]:

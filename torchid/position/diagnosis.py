@@ -339,7 +339,7 @@ class PositionDiagnosis(Diagnosis):
         joints = tuple((free & ~self.still).nonzero().flatten().tolist())
         return ServoArm(self.data.robot, self.servos, self.data.scale, std, joints)
 
-    def write_corrected(self, path: str | Path) -> None:
+    def write_corrected(self, path: str | Path, *, rows: bool = True) -> None:
         """Write the robot with its servos as a .yaml.
 
         Raises:

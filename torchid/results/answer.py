@@ -19,6 +19,7 @@ from torchid.notebooks import html_table
 from torchid.results.agreement import RunValue
 from torchid.results.cause import (
     LINK,
+    WHENS,
     Cause,
     Error,
     common_name,
@@ -169,6 +170,7 @@ class Answer(Part, frozen=True, kw_only=True):
         small: causes that are sure and remove less than was asked for.
         reason: why nothing is named, where that is so.
         doubt: what speaks against the log, said first; absent where nothing does.
+        since: the earlier log that causes are held against; absent without one.
     """
 
     status: str
@@ -189,6 +191,7 @@ class Answer(Part, frozen=True, kw_only=True):
     small: tuple[Cause, ...] = ()
     reason: str = ""
     doubt: str | UnsetType = UNSET
+    since: str | UnsetType = UNSET
 
     @classmethod
     def so_far(
@@ -282,8 +285,9 @@ class Answer(Part, frozen=True, kw_only=True):
                 rest = " Other motions may not confirm it."
             elif self.status in ("detected_unexplained", "partly_explained"):
                 rest = " The rest has no known cause."
-        # The two largest causes with their numbers; fewer words where these do not fit.
-        groups = list(self.groups(self.entries))
+        # The two largest causes with their numbers, new ones first; fewer words where these do not
+        # fit.
+        groups = sorted(self.groups(self.entries), key=lambda same: same[0].when == "in both")
         for most, values, rivals in (
             (2, 2, 2), (2, 1, 1), (2, 0, 1), (1, 1, 2), (1, 0, 1), (1, 0, 0)
         ):  # fmt: skip
@@ -371,6 +375,8 @@ class Answer(Part, frozen=True, kw_only=True):
         others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
         if others and rivals:
             inner.append(f"or {listed(others, 'or', most=rivals)}")
+        if first.when:
+            inner.append(WHENS[first.when].format(self.since))
         return f"{text} ({'; '.join(inner)})" if inner else text
 
     def shared(self) -> list[tuple[Cause, ...]]:
@@ -481,8 +487,9 @@ class Diagnosis(Result):
         """What each run alone wants of each cause, one row each; empty of one run."""
         raise NotImplementedError
 
-    def write_corrected(self, path: str | Path) -> None:
-        """Write the corrected robot, with its effects or servos, as a .yaml.
+    def write_corrected(self, path: str | Path, *, rows: bool = True) -> None:
+        """Write the corrected robot, with its effects or servos, as a .yaml; of torques the log
+        beside it, unless `rows` says no.
 
         Raises:
             TorchidError: the file cannot be written.
@@ -517,9 +524,9 @@ def ordered(warnings: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted(every, key=lambda text: [not text.startswith(kind) for kind in KINDS]))
 
 
-def _kind(cause: Cause) -> tuple[str, bool, frozenset[str]]:
+def _kind(cause: Cause) -> tuple[object, ...]:
     """What causes of one line have in common."""
-    return cause.effect, cause.changed, frozenset(cause.ambiguous_with)
+    return cause.effect, cause.when, cause.changed, frozenset(cause.ambiguous_with)
 
 
 def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
@@ -527,11 +534,12 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
     first = same[0]
     known = [c.how_sure for c in same if c.how_sure is not None]
     end = (sure(min(known, default=None)), remedy_of(same, short=True))
+    when = f", {first.when}" if first.when else ""
     if len(same) == 1:
         name = "inertia" if first.effect == LINK and first.at else first.name
-        return (f"{name} {first.values()}".rstrip() + first.rivals, *end)
+        return (f"{name} {first.values()}".rstrip() + first.rivals + when, *end)
     rivals = next((c.rivals for c in same if c.rivals), "")
-    return (f"{common_name(first, same)} {values_of(same)}{rivals}", *end)
+    return (f"{common_name(first, same)} {values_of(same)}{rivals}{when}", *end)
 
 
 def _cut(text: str, longest: int) -> str:

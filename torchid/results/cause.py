@@ -40,6 +40,11 @@ How = Literal["fitted", "left out in turn", "held out"]
 """How data were judged: by a model that was fitted to them; by models each of which was fitted
 without the part that it is judged on; by a model that none of them took part in."""
 
+When = Literal["new", "in both"]
+"""Of a cause, beside an earlier log: whether it came since, or the model lacked it already."""
+WHENS: dict[When, str] = {"new": "new since {}", "in both": "in {} already"}
+"""That, with the log's name."""
+
 Role = Literal["named", "suspect", "small"]
 """What is told of a cause: its name; that it is not sure enough for one; that it is sure, and
 removes less than was asked for."""
@@ -180,6 +185,7 @@ class Cause(Part, frozen=True, kw_only=True):
             joint where that is most [N m; N].
         judged: data that say how sure it is and what it takes away; absent where it is not known.
         window: of what happened once; else absent.
+        when: whether it is new since an earlier log, or in both; absent without one.
         law: all friction of its joint, where this is several terms of it as one; else absent.
         replication: whether it is the same in every motion; null of what is asked no such thing.
         meaning: of the effect, in words.
@@ -212,6 +218,7 @@ class Cause(Part, frozen=True, kw_only=True):
     closes_rms: Real = math.nan
     judged: JudgedOn | UnsetType = UNSET
     window: Window | UnsetType = UNSET
+    when: When | UnsetType = UNSET
     law: FrictionLaw | UnsetType = UNSET
     replication: Replication | None = None
     meaning: str = ""

@@ -25,9 +25,10 @@ BETWEEN = 0.05
 sessions tell it [1]: with the temperature of the grease viscous friction changes by 2 to 10 % a
 day (docs/fleet.md)."""
 
-KEYS = ("sources", "coefficients", "rows", "left", "between_sessions")
+KEYS = ("sources", "coefficients", "rows", "left", "between_sessions", "log")
 """Of the yaml; `rows` are those of the root, numbers in a text each, and so is `left`;
-`between_sessions` has a text a coefficient, its name and a number."""
+`between_sessions` has a text a coefficient, its name and a number; `log` are a file and its
+SHA-256."""
 
 ROUNDING = 1e-6
 """Relative difference below which two columns, evaluated by two ways, are one."""
@@ -50,6 +51,8 @@ class Knowledge:
             nobody looked.
         between: standard deviations by which coefficients change from session to session by
             themselves, as several sessions have shown them, in their units.
+        log: file beside the model's with the log that it was made from, and its SHA-256; None where
+            it was not kept, and of what several logs know together.
 
     Raises:
         RobotError: rows of another length.
@@ -66,6 +69,7 @@ class Knowledge:
     sources: tuple[str, ...] = ()
     left: Float[Tensor, " n"] | None = None
     between: Mapping[str, float] = field(default_factory=dict)
+    log: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
         root = self.root.double()
@@ -220,6 +224,8 @@ def to_mapping(knowledge: Knowledge) -> dict[str, list[str]]:
         out["left"] = [repr(x) for x in knowledge.left.tolist()]
     if knowledge.between:
         out["between_sessions"] = [f"{name} {std!r}" for name, std in knowledge.between.items()]
+    if knowledge.log is not None:
+        out["log"] = list(knowledge.log)
     return out
 
 
@@ -244,6 +250,8 @@ def from_mapping(data: Any, n: int, source: str) -> Knowledge:
     root = numbers(rows, (len(rows), size), f"{where}.rows") if rows else torch.zeros(0, size)
     left = [_number(x, f"{where}.left") for x in texts["left"]]
     pairs = [text.rpartition(" ") for text in texts["between_sessions"]]
+    if len(texts["log"]) not in (0, 2):
+        raise RobotError(f"{where}.log: must be a file and its SHA-256.", got=texts["log"])
     return Knowledge(
         n,
         names,
@@ -251,6 +259,7 @@ def from_mapping(data: Any, n: int, source: str) -> Knowledge:
         tuple(texts["sources"]),
         numbers(left, (n,), f"{where}.left") if left else None,
         {name: _number(std, f"{where}.between_sessions") for name, _, std in pairs},
+        (texts["log"][0], texts["log"][1]) if texts["log"] else None,
     )
 
 

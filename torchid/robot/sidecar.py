@@ -51,7 +51,7 @@ def sidecar_yaml(
         data["gravity"] = list(gravity)
     data["effects"] = [dict(record) for record in effects]
     if knowledge is not None:
-        data["knowledge"] = to_mapping(knowledge)
+        data["knowledge"] = to_mapping(replace(knowledge, log=None))
     head = f"# What {name} cannot say; torchid reads it together with that file.\n"
     return head + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
 

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -36,6 +36,7 @@ from torchid.gap.data import Data
 from torchid.gap.problem import Problem
 from torchid.gap.wanted import BASE, LINK
 from torchid.identification.knowledge import known_names
+from torchid.results.cause import When
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import BODY_STD, WRONG_BODY
 
@@ -91,6 +92,8 @@ class Term:
             there the slab is centred, as wide as that is unsure.
         said: what that adds to the evidence [nats].
         shown: whether it shows as much as is worth a name.
+        since: beside an earlier log, `in both` of what acts in that one as well and `new` of what
+            does not; else empty.
         serial: of its own, by which its products with others are kept.
     """
 
@@ -109,6 +112,7 @@ class Term:
     seen: Compliance | Swing | None = None
     said: float = 0.0
     shown: bool = False
+    since: When | Literal[""] = ""
     serial: int = field(init=False, default_factory=itertools.count().__next__)
 
     @property
@@ -127,9 +131,14 @@ class Term:
         return self.key[-1:] == ("shared",)
 
     @property
+    def form(self) -> tuple[object, ...]:
+        """What it is, whatever its shape, in whichever log it acts."""
+        return self.key[1:] if self.since else self.key
+
+    @property
     def cause(self) -> tuple[object, ...]:
         """What is counted as one cause: a joint's law with all its forms, or the effect itself."""
-        return self.key if self.law is None else self.law
+        return self.form if self.law is None else self.law
 
     @property
     def parametric(self) -> bool:
@@ -166,6 +175,7 @@ class Library:
     Attributes:
         gap: (n, N) what is to be explained, zero where samples do not count [N m; N].
         rows: (n,) samples that count.
+        asked: (N,) samples of the log that is asked; the others are of an earlier one.
         known_noise: (n,) what the model was seen to leave on its own log, RMS [N m; N]: nothing
             below it is explained.
         noise: (n,) RMS of what differs between repeats of a motion [N m; N]; nan without any.
@@ -185,19 +195,37 @@ class Library:
         self.gap = problem.given.gap.numpy() * self.keep
         tau = logged(self.columns).numpy() * self.keep
         self.torque = np.sqrt((tau**2).sum(1) / self.rows) + 1e-12
-        self.size = np.sqrt((self.gap**2).sum(1) / self.rows) + FLOOR * self.torque
+        asked = problem.asked
+        self.asked = np.ones(self.keep.shape[1], bool) if asked is None else asked.numpy()
+        self.size = self.rms(self.gap) + FLOOR * self.torque
         known, left = problem.wanted.knowledge, FLOOR * self.torque
-        if known is not None and known.left is not None:
+        # An earlier log shows its own noise.
+        if asked is None and known is not None and known.left is not None:
             left = np.maximum(left, known.left.numpy())
         self.known_noise = left
         self.scale = Scale(self.columns)
         self.noise = noise_of_repeats(problem)
         self.nuisance = self._nuisance()
-        self.windows = Windows(self.samples)
+        self.windows = Windows(self.samples, self.asked)
         made = (self.of_event(e) for e in events)
         self.terms = self._with_shapes(
             [*self._of_joints(), *self._of_the_arm(), *self._bodies(), *made]
         )
+
+    @property
+    def unexplained(self) -> np.ndarray:
+        """What the model left unexplained (n,) on a log that is not beside, RMS [N m; N]."""
+        return self.known_noise
+
+    def judged(self, term: Term, part: np.ndarray) -> np.ndarray:
+        """Parts (N,) of the logs on which a term is held against data that were not fitted; below
+        zero where it is not."""
+        return part
+
+    def rms(self, x: np.ndarray) -> np.ndarray:
+        """RMS (n,) of samples (n, N) of the log that is asked."""
+        rows = np.maximum(self.keep[:, self.asked].sum(1), 1.0)
+        return np.sqrt((x[:, self.asked] ** 2).sum(1) / rows)
 
     # ------------------------------------------------------------------ one candidate
 
@@ -267,7 +295,11 @@ class Library:
         if term.effect is None or term.inertial:
             return None
         found = self.of_effect(term.effect, term)
-        return None if found is None else replace(found, key=term.key, shapes=term.shapes)
+        return None if found is None else self.like(found, term)
+
+    def like(self, made: Term, term: Term) -> Term:
+        """What was made from an effect, as what it is another shape of."""
+        return replace(made, key=term.key, shapes=term.shapes, since=term.since)
 
     def of_effect(self, effect: Effect, like: Term | None = None) -> Term | None:
         """A candidate from an effect, at its place; of one that all joints share, `like` that."""
@@ -327,7 +359,11 @@ class Library:
         count: dict[object, int] = {}
         for t in some:
             count[t.key] = count.get(t.key, 0) + 1
-        return [replace(t, shapes=max(t.shapes, count[t.key])) for t in some]
+        return self.offered([replace(t, shapes=max(t.shapes, count[t.key])) for t in some])
+
+    def offered(self, terms: list[Term]) -> list[Term]:
+        """Candidates as they are looked at."""
+        return terms
 
     # ------------------------------------------------------------------ all of them
 
@@ -468,7 +504,9 @@ class Library:
         """What the model leaves open of itself, in coordinates in which it is independent."""
         wanted = self.problem.wanted
         if wanted.free or wanted.background:
-            return self._free_parameters()
+            kinds = [KINDS[name] for name in wanted.background]
+            effects = [kind(j) for kind in kinds for j in range(self.n)]  # type: ignore[call-arg]
+            return self._free(effects, base=wanted.free)
         if wanted.knowledge is None:
             return None
         # Links' parameters, and coefficients of the model's own effects, whose names are known.
@@ -488,20 +526,17 @@ class Library:
         std = np.maximum(values, widest**-2) ** -0.5
         return self._always(np.tensordot((axes / size[:, None]).T, columns, 1), std)
 
-    def _free_parameters(self) -> Term:
-        """Base parameters, where they are free, and the background, of which nothing is known."""
-        wanted = self.problem.wanted
-        base = list(wanted.base.by_link) if wanted.free else []
-        parts = [self.columns.regressor.flatten(0, 1).numpy()[base]]
-        for name in wanted.background:
-            effects = [KINDS[name](j) for j in range(self.n)]  # type: ignore[call-arg]
-            parts += [self.columns.on_all_joints(e).numpy() for e in effects]
+    def _free(self, effects: Sequence[Effect], base: bool = True) -> Term:
+        """Base parameters, unless told otherwise, and coefficients of effects, of which nothing is
+        known."""
+        free = list(self.problem.wanted.base.by_link) if base else []
+        parts = [self.columns.regressor.flatten(0, 1).numpy()[free]]
+        parts += [self.columns.on_all_joints(e).numpy() for e in effects]
         columns = np.concatenate(parts) * self.keep
         size = np.sqrt((columns**2).sum(2) / self.rows)
         with np.errstate(divide="ignore"):
             std = OPEN_STD * np.where(size > 0, self.torque / size, 0.0).max(1)
-        shows = std > 0
-        return self._always(columns[shows], std[shows])
+        return self._always(columns, np.where(std > 0, std, 1.0))
 
     def _always(self, columns: np.ndarray, std: np.ndarray) -> Term:
         """Columns that are always fitted."""

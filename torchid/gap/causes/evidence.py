@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from torchid.gap.causes.candidates import Library, Term
@@ -100,7 +100,7 @@ class Evidence:
         self.looks = max(1, len(causes))
         forms: dict[tuple[object, ...], set[tuple[object, ...]]] = {}
         for t in self.library.terms:
-            forms.setdefault(t.cause, set()).add(t.key)
+            forms.setdefault(t.cause, set()).add(t.form)
         self.forms = {cause: len(keys) for cause, keys in forms.items()}
 
     # ------------------------------------------------------------------ normal equations
@@ -282,7 +282,8 @@ class Evidence:
 
     def price(self, terms: Sequence[Term]) -> float:
         """Of looking: one for each cause, and the shapes and forms that were looked at."""
-        causes = {t.cause for t in terms}
+        # What was there already and has changed since is two.
+        causes = {(t.cause, t.since) for t in terms}
         out = len(causes) * math.log(self.looks / EXPECTED)
         for t in terms:
             out += math.log(t.shapes * self.forms.get(t.cause, 1))
@@ -312,7 +313,11 @@ class Evidence:
 
 def spread_of(terms: Sequence[Term]) -> np.ndarray:
     """Root (K, K) of the covariance of the slabs of terms."""
-    return block_diag(*(t.spread for t in terms)) if terms else np.zeros((0, 0))
+    out, k = np.zeros((sum(t.count for t in terms),) * 2), 0
+    for t in terms:
+        out[k : k + t.count, k : k + t.count] = t.spread
+        k += t.count
+    return out
 
 
 def centre_of(terms: Sequence[Term]) -> np.ndarray:

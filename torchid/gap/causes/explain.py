@@ -1,13 +1,14 @@
 """From a problem to its causes: search, columns at the model found, and how sure each cause is."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from torchid.design.columns import Model
-from torchid.gap.causes.candidates import Library
+from torchid.gap.causes.candidates import Library, Term
+from torchid.gap.causes.earlier import NEW, TwoLogs
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.judge import Judged, judge
 from torchid.gap.causes.misfit import foreseen
@@ -48,7 +49,8 @@ def explain(problem: Problem, watch: Callable[[Search, Fit], None] | None = None
         watch: called with the search and each fit that it goes on from, the first without a cause.
     """
     say = watch or (lambda search, fit: None)
-    library = Library(problem)
+    kind = Library if problem.asked is None else TwoLogs
+    library = kind(problem)
     search = Search(library, say)
     say(search, search.empty())
     found = search.explanation()
@@ -58,17 +60,16 @@ def explain(problem: Problem, watch: Callable[[Search, Fit], None] | None = None
         if not _changed(library.columns.model, at, problem):
             break
         events = [t.effect for t in found.fit.terms if t.effect is not None and t.effect.event]
-        library = Library(problem, events, at)
+        library = kind(problem, events, at)
         start = [library.same(t) for t in found.fit.terms]
         search = Search(library, say)
         found = search.explanation([t for t in start if t is not None])
-    evidence, rows = search.evidence, library.rows
+    evidence = search.evidence
     fit = search.again(found.fit)
     # Whole motions left out say how far the gap closes; noise is what repeats, or a flexible
     # predictor, leave of that.
-    part = problem.folds.fold.numpy()
-    after = np.sqrt(search.left_out(fit, part) / rows)
-    before = np.sqrt((library.gap**2).sum(1) / rows)
+    after = search.left_out(fit, np.where(library.asked, problem.folds.fold.numpy(), -1))
+    before = library.rms(library.gap)
     share = foreseen(problem, torch.from_numpy(evidence.left(fit))).share.clamp(min=0).numpy()
     noise = np.minimum(library.noise, after)
     noise = np.where(np.isnan(noise), after * np.sqrt(1 - share), noise)
@@ -77,7 +78,52 @@ def explain(problem: Problem, watch: Callable[[Search, Fit], None] | None = None
     unit = library.torque**2
     whole = float((left / unit).sum() / max((before**2 / unit).sum(), 1e-300))
     shares = np.minimum(np.append(shares, whole), 1.0)
-    return Explained(search, found, judge(search, fit, shares, problem.draws), shares)
+    refused = () if problem.asked is None else found.small
+    judged = judge(search, fit, shares, problem.draws, refused)
+    return Explained(search, found, judged, shares)
+
+
+def of_asked_log(explained: Explained, problem: Problem) -> Explained:
+    """What was explained beside an earlier log, on the log that is asked alone, as it is described;
+    without an earlier one as it is.
+
+    Args:
+        explained: over both logs.
+        problem: of the log that is asked.
+    """
+    both = explained.search.library
+    if not isinstance(both, TwoLogs):
+        return explained
+    # What is known of the model gives way for what it lacked already.
+    wanted = replace(problem.wanted, knowledge=both.known(explained.found.fit))
+    terms = explained.found.fit.terms
+    events = [t.effect for t in terms if t.effect is not None and t.effect.event]
+    library = Library(replace(problem, wanted=wanted), events, both.columns.model)
+    search, of = Search(library), dict[Term, Term]()
+
+    def same(term: Term) -> Term | None:
+        if term not in of:
+            alone = library.same(replace(term, key=term.form, since=""))
+            if alone is not None:
+                of[term] = next((t for t in of.values() if t.key == alone.key), alone)
+        return of.get(term)
+
+    def every(some: Iterable[Term]) -> tuple[Term, ...]:
+        return tuple(dict.fromkeys(t for t in map(same, some) if t is not None))
+
+    fit = search.empty()
+    fit = search.again(search.evidence.fit(every(terms), fit.samples))
+    judged = {}
+    # Of what was in both and has changed since, the change is told.
+    for one in sorted(explained.judged, key=lambda one: one.when == NEW):
+        term, name = same(one.term), same(one.name)
+        if term is None or name is None:
+            continue
+        members = tuple((own, p) for ts, p in one.members if (own := every(ts)))
+        judged[term] = replace(one, term=term, name=name, members=members)
+    found = Found(fit, every(explained.found.small))
+    told = [judged[t] for t in fit.terms if t in judged]
+    return Explained(search, found, told, explained.left)
 
 
 def with_bodies(model: Model, fit: Fit) -> Model:

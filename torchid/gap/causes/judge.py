@@ -22,8 +22,9 @@ from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term, excluding
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import ONE_BODY, STEP, Search, same_columns
+from torchid.results.cause import When
 from torchid.statistics.bagging import Draws
-from torchid.statistics.criteria import DOUBT, SET_MASS, WRONG_FILE
+from torchid.statistics.criteria import DOUBT, LIKELY, SET_MASS, WRONG_FILE
 
 WAVES = 4
 """The longest of the grid, of which any smooth curve over a joint's position is: up to three
@@ -47,6 +48,8 @@ class Judged:
         members: smallest set that holds nine tenths of what may be there, the likeliest first, with
             their probabilities.
         law: probability of the joint's law that `name` is a form of; of `name` where it is no form.
+        when: whether it is `new` since an earlier log or `in both`; None where neither is likelier
+            than not, and without an earlier log.
     """
 
     term: Term
@@ -56,9 +59,12 @@ class Judged:
     nothing: float
     members: tuple[tuple[tuple[Term, ...], float], ...]
     law: float
+    when: When | None = None
 
 
-def judge(search: Search, fit: Fit, left: np.ndarray, draws: Draws) -> list[Judged]:
+def judge(
+    search: Search, fit: Fit, left: np.ndarray, draws: Draws, refused: Sequence[Term] = ()
+) -> list[Judged]:
     """All terms of an explanation.
 
     Args:
@@ -67,8 +73,9 @@ def judge(search: Search, fit: Fit, left: np.ndarray, draws: Draws) -> list[Judg
         left: (n,) share of the squares of each joint's gap that is left without a cause, and the
             arm's as a whole behind them (n + 1,).
         draws: logs that might have been.
+        refused: terms that were not worth a name, which are no rivals.
     """
-    return [judged(search, fit, t, left, draws) for t in fit.terms]
+    return [judged(search, fit, t, left, draws, refused) for t in fit.terms]
 
 
 def is_one_curve(search: Search, fit: Fit, terms: Sequence[Term]) -> bool:
@@ -88,6 +95,7 @@ def is_one_curve(search: Search, fit: Fit, terms: Sequence[Term]) -> bool:
         t
         for t in search.library.terms
         if t.place == joint
+        and t.since == terms[0].since
         and (
             isinstance(t.effect, JointSpring)
             or (isinstance(t.effect, Cogging) and t.effect.k in longest)
@@ -100,12 +108,20 @@ def is_one_curve(search: Search, fit: Fit, terms: Sequence[Term]) -> bool:
     return ratio + (len(terms) - 1) * evidence.price(terms[:1]) > 0
 
 
-def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws) -> Judged:
+def judged(
+    search: Search,
+    fit: Fit,
+    term: Term,
+    left: np.ndarray,
+    draws: Draws,
+    refused: Sequence[Term] = (),
+) -> Judged:
     """One term of an explanation."""
     evidence, library = search.evidence, search.library
     others = excluding(fit.terms, [term])
     base = evidence.fit(others, fit.samples)
-    likely = [(u,) for u in search.likely(base, frozenset({term.key}))]
+    gone = frozenset({term.key, *(t.key for t in refused)})
+    likely = [(u,) for u in search.likely(base, gone)]
     tried = [
         (u, evidence.fit((*others, *u), fit.samples)) for u in (*likely, *_pair(search, fit, term))
     ]
@@ -130,10 +146,17 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
     every: list[tuple[tuple[Term, ...], float]] = [((term,), own)]
     every += [(u, p) for (u, _), p in zip(rivals, others_sure, strict=True)]
     every.sort(key=lambda pair: -pair[1])
+    when: When | None = None
+    if term.since:
+        # Whether it is new is asked at its place alone, and what it is among those that are.
+        every = [(t, p) for t, p in every if t[0].since == term.since and is_near(t[0], term)]
+        likelier = sum(p for _, p in every) > LIKELY
+        when = (term.since or None) if likelier else None
+    there = sum(p for _, p in every) if term.since else 1 - nothing
     # The smallest set, and the simplest of those that are nearly as likely as the likeliest.
     members, held = list[tuple[tuple[Term, ...], float]](), 0.0
     for pair in every:
-        if held >= SET_MASS * (1 - nothing):
+        if held >= SET_MASS * there:
             break
         members.append(pair)
         held += pair[1]
@@ -153,8 +176,13 @@ def judged(search: Search, fit: Fit, term: Term, left: np.ndarray, draws: Draws)
     bound = 1.0 if term.shown else _bound(told, fall, left, before)
     return Judged(
         term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
-        min(law, bound),
+        min(law, bound), when,
     )  # fmt: skip
+
+
+def is_near(one: Term, other: Term) -> bool:
+    """Whether two terms are at one place of the arm, or are the same torque."""
+    return one.joints == other.joints or same_columns(one, other)
 
 
 def _pair(search: Search, fit: Fit, term: Term) -> list[tuple[Term, ...]]:
@@ -164,7 +192,8 @@ def _pair(search: Search, fit: Fit, term: Term) -> list[tuple[Term, ...]]:
     there = {t.key for t in fit.terms}
     found: dict[str, Term] = {}
     for t in search.library.terms:
-        plain = t.name in (ViscousFriction.name, CoulombFriction.name) and t.law == term.law
+        plain = t.name in (ViscousFriction.name, CoulombFriction.name)
+        plain = plain and (t.law, t.since) == (term.law, term.since)
         if plain and t.key not in there:
             found.setdefault(t.name, t)
     return [tuple(found.values())] if len(found) == 2 else []

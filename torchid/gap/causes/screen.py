@@ -109,7 +109,7 @@ class Screen:
         Args:
             fit: beside which.
             samples: (n,) with which they are ranked.
-            count: of them.
+            count: of them; beside an earlier log half of them are new and half in both.
             without: keys that are not looked at.
         """
         evidence = self.evidence
@@ -141,5 +141,7 @@ class Screen:
                 if gain > best.get(term.key, (-math.inf, term))[0]:
                     best[term.key] = gain, term
         there = {t.key for t in fit.terms} | without
-        ranked = [pair for key, pair in best.items() if key not in there]
-        return sorted(ranked, key=lambda pair: -pair[0])[:count]
+        ranked = sorted((p for key, p in best.items() if key not in there), key=lambda p: -p[0])
+        kinds = dict.fromkeys(t.since for _, t in ranked)
+        each = math.ceil(count / max(len(kinds), 1))
+        return [p for kind in kinds for p in [p for p in ranked if p[1].since == kind][:each]]

@@ -276,12 +276,13 @@ class Search:
                 e for e in (*there, *effect.around(level, library.samples.interval)) if e != effect
             ]
             made = [library.of_effect(e) for e in near]
-        return [replace(t, shapes=term.shapes, key=term.key) for t in made if t is not None]
+        return [library.like(t, term) for t in made if t is not None]
 
     def _pushes(self, fit: Fit) -> list[Term]:
         """Pushes in windows, and planes, beside a fit."""
         left, weight = self.evidence.left(fit), self.library.rows / fit.losses
-        return [*pushes(self.library, left, weight), *planes(self.library, left, weight)]
+        found = [*pushes(self.library, left, weight), *planes(self.library, left, weight)]
+        return self.library.offered(found)
 
     def _open(self, fit: Fit) -> list[int]:
         """Joints on which something is left to explain: more than differs between repeats; or, of a
@@ -306,12 +307,11 @@ class Search:
     # ------------------------------------------------------------------ worth
 
     def left_out(self, fit: Fit, part: np.ndarray, gone: Term | None = None) -> np.ndarray:
-        """Sums of squares (n,) that an explanation, or that without a term, leaves on parts of the
-        log that it is not fitted on. What happened once cannot be foreseen, and keeps its
-        coefficients.
+        """RMS (n,) that an explanation, or that without a term, leaves on parts of the log that it
+        is not fitted on. What happened once cannot be foreseen, and keeps its coefficients.
 
         Args:
-            part: (N,) number of each sample's part.
+            part: (N,) number of each sample's part; below zero of those that are always fitted.
         """
         evidence = self.evidence
         pairs = [(t, x) for t, x in zip(fit.terms, fit.values(), strict=True) if t is not gone]
@@ -324,16 +324,17 @@ class Search:
             )
         centre = centre_of(every)
         full, spread = np.concatenate([evidence.columns(every), gap[:, None]], 1), spread_of(every)
-        parts = []
+        parts = {}
         for p in np.unique(part):
             some = full[:, :, part == p]
-            parts.append(some @ some.transpose(0, 2, 1))
-        whole, out = sum(parts), np.zeros(evidence.n)
-        for g in parts:
+            parts[p] = some @ some.transpose(0, 2, 1)
+        whole, out = sum(parts.values()), np.zeros(evidence.n)
+        for g in (g for p, g in parts.items() if p >= 0):
             x, _, _ = solved(whole - g, spread, fit.samples, evidence.floor, centre=centre)
             v = np.append(x, -1.0)
             out += (v @ g) @ v
-        return np.maximum(out, 1e-300)
+        rows = np.maximum(self.library.keep[:, part >= 0].sum(1), 1.0)
+        return np.sqrt(np.maximum(out, 1e-300) / rows)
 
     def worthwhile(self, fit: Fit) -> Found:
         """Without what lowers no joint's error by as much as is worth a name on data that was not
@@ -344,13 +345,16 @@ class Search:
         woven = part.numpy() % WOVEN
         small: list[Term] = []
         while fit.terms:
-            whole = self.left_out(fit, woven)
+            parts = {t.since: self.library.judged(t, woven) for t in fit.terms}
+            whole = {since: self.left_out(fit, part) for since, part in parts.items()}
             worth = [
                 # What another sensor shows is there, however little of it the fit's torque has.
                 np.inf
                 if t.shown
                 else max(
-                    self.worth(whole, self.left_out(fit, woven, t), self._share(fit, t)),
+                    self.worth(
+                        whole[t.since], self.left_out(fit, parts[t.since], t), self._share(fit, t)
+                    ),
                     self._displaced(fit, t),
                 )
                 for t in fit.terms
@@ -383,7 +387,7 @@ class Search:
         torque = np.tensordot(rest.x[: own.count] - fit.x[: own.count], own.columns, 1)
         size = np.sqrt((torque**2).sum(1) / library.rows)
         least = self.least(np.sqrt((evidence.gap**2).sum(1) / library.rows))
-        return float((size / np.maximum(least, library.known_noise)).max())
+        return float((size / np.maximum(least, library.unexplained)).max())
 
     def least(self, error: np.ndarray, share: float = 1.0) -> np.ndarray:
         """Fall (n,) of joints' errors (n,) from which a cause is worth a name [N m; N]: a share of
@@ -396,18 +400,17 @@ class Search:
         library, settings = self.library, self.library.problem.settings
         size = settings.worthwhile_torque * library.torque
         least = np.maximum(settings.worthwhile * error, 0.5 * size**2 / np.maximum(error, 1e-300))
-        beyond = error**2 - share * library.known_noise**2
+        beyond = error**2 - share * library.unexplained**2
         by = np.where(beyond > 0, error - np.sqrt(np.maximum(beyond, 0.0)), error)
         return np.maximum(np.maximum(least, by), 1e-300)
 
-    def worth(self, whole: np.ndarray, without: np.ndarray, share: float = 1.0) -> float:
+    def worth(self, after: np.ndarray, before: np.ndarray, share: float = 1.0) -> float:
         """Fall of the joints' errors by a cause, over what is worth a name; the largest of them.
 
         Args:
-            whole, without: (n,) sums of squares left out, with the cause and without it.
+            after, before: (n,) RMS left out, with the cause and without it.
             share: of the samples, in which the cause acts.
         """
-        after, before = (np.sqrt(x / self.library.rows) for x in (whole, without))
         return float(((before - after) / self.least(before, share)).max())
 
     def acting(self, fit: Fit, without: Fit) -> np.ndarray:

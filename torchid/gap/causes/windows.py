@@ -20,17 +20,18 @@ class Windows:
 
     Args:
         samples: of the log.
+        asked: (N,) samples in which pushes are looked for.
     """
 
-    def __init__(self, samples: Samples):
-        self.samples = samples
+    def __init__(self, samples: Samples, asked: np.ndarray):
+        self.samples, self.asked = samples, asked
         self._found: list[tuple[object, float, float]] = []
 
     @cached_property
     def spans(self) -> np.ndarray:
         """(W, 2): first sample, and the one behind the last."""
         out: list[Span] = []
-        for own in self.samples.bounds:
+        for own in (b for b in self.samples.bounds if self.asked[b].any()):
             for seconds in WINDOWS_S:
                 size = max(3, round(seconds / self.samples.interval))
                 first = range(own.start, own.stop - size, max(1, size // 4))

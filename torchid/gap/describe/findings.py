@@ -91,6 +91,7 @@ def describe_findings(
             "share": sum(taken.shares[i] for i in (k, *alike)),
             "alone": taken.alone[k],
             "removes": tuple(taken.removes[[k, *alike]].sum(0).tolist()),
+            "when": one.judged.when or UNSET,
             "judged": far.judged if one.asked_again else JudgedOn(on=far.judged.on, how="fitted"),
         }
         causes.append(_cause(found, k, one, corrected, own))
