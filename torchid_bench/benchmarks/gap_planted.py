@@ -371,8 +371,8 @@ def names_it(key: dict[str, Any], claim: dict[str, Any], *, in_set: bool = False
 
 
 def identity(claim: dict[str, Any]) -> tuple[str, ...]:
-    """Effect and joints of a claim."""
-    return claim["effect"], *map(str, claim["joints"])
+    """Effect of a claim, and joints that it is at: none of the whole arm's, whoever feels it."""
+    return claim["effect"], *map(str, claim.get("located", claim["joints"]))
 
 
 class Verdict(NamedTuple):

@@ -34,8 +34,8 @@ one, which the library has first, is taken."""
 STEP = 0.5
 """Rise of the evidence from which a step is taken [nats]."""
 
-SWAPS = 20
-"""Exchanges at most, one after the other."""
+SWAPS, EXCHANGED = 20, 20
+"""Exchanges at most, one after the other, and how many are compared in a step."""
 
 LEVELS = 3
 """Times that a shape is refined, each time three times more closely."""
@@ -216,15 +216,7 @@ class Search:
         """One term is exchanged for another, which must be likelier than nothing in its place, too:
         evidence is of pairs."""
         for _ in range(SWAPS):
-            tried: list[Fit] = []
-            for t in fit.terms:
-                rest = excluding(fit.terms, [t])
-                base = self.evidence.fit(rest, fit.samples)
-                for other in self.likely(base):
-                    then = self.evidence.fit((*rest, other), fit.samples)
-                    alike = other.count >= t.count and self.alike(then, fit, base)
-                    if other is not t and not alike:
-                        tried.append(then)
+            tried = self._exchanged(fit)
             step = self._better(tried, fit, STEP)
             while step is not None:
                 then = step[1]
@@ -237,6 +229,24 @@ class Search:
                 return fit
             fit = self.shrink(self._take(step[1]))
         return fit
+
+    def _exchanged(self, fit: Fit) -> list[Fit]:
+        """Fits with one term for another: the likeliest with the samples at hand, and none that
+        makes the same torque with as many coefficients."""
+        every = list[tuple[Fit, Fit, bool]]()
+        for t in fit.terms:
+            rest = excluding(fit.terms, [t])
+            base = self.evidence.fit(rest, fit.samples)
+            for other in (u for u in self.likely(base) if u is not t):
+                then = self.evidence.fit((*rest, other), fit.samples)
+                every.append((then, base, other.count >= t.count))
+        values = sorted((self.evidence.value(then) for then, _, _ in every), reverse=True)
+        least = values[EXCHANGED - 1] if len(values) > EXCHANGED else -np.inf
+        return [
+            then
+            for then, base, simple in every
+            if self.evidence.value(then) >= least and not (simple and self.alike(then, fit, base))
+        ]
 
     def refine(self, fit: Fit, which: Sequence[int] | None = None) -> Fit:
         """Shapes, and secants of changes of the model, a little otherwise: of some terms or all."""
