@@ -11,6 +11,8 @@ from typing import IO, Any
 
 from torchid.errors import TorchidError
 
+UNCONFIRMED = "not confirmed:"
+"""How the first line of a file begins whose model no data confirm."""
 _MODES = ("w", "wb")
 _INPUTS: ContextVar[list[Path] | None] = ContextVar("inputs", default=None)
 Staged = list[tuple[Path, Path]]

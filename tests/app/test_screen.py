@@ -58,7 +58,7 @@ def test_the_answer_is_one_screen(log: Path, columns: int, tmp_path: Path) -> No
     assert max(map(len, lines)) <= columns, "\n".join(lines)
     text = " ".join(" ".join(lines).split())
     for part in (
-        "lower the gap:",
+        ": error 2.85 -> ",
         "Do first: friction, all joints",
         "% less",
         "c.yaml",

@@ -54,7 +54,7 @@ def test_it_is_told_with_the_log_that_it_is_held_against() -> None:
     }  # fmt: skip
     # What is new is said first.
     assert f"new since {answer.since}" in answer.headline
-    assert answer.headline.startswith("Viscous friction")
+    assert answer.headline.startswith("0.8 N m s/rad viscous friction on joint 3 (new since ")
     cells = [row[4] for row in answer.rows()]
     assert any(cell.endswith(", new") for cell in cells)
     assert any(cell.endswith(", in both") for cell in cells)

@@ -444,6 +444,6 @@ def test_an_answer_that_fails_on_held_out_data_says_so_first():
     assert found.which[0].judged == JudgedOn(on=("monday",), how="held out")
     # What is used next is said with the same numbers.
     assert model_words(answer, "c.yaml", "3r") == (
-        f"This log gives no model that is surely better: 3r errs {answer.before.size} on monday, "
-        f"corrected {answer.after.size}."
+        f"c.yaml is not confirmed: error {answer.after.size} on monday, as given "
+        f"{answer.before.size.split()[0]}."
     )

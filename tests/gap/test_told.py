@@ -11,7 +11,9 @@ from torchid.design.columns import Model
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.inertia import RotorInertia
+from torchid.gap.describe.findings import Findings
 from torchid.gap.told import told, told_bodies, valued
+from torchid.gap.torque import that_help
 from torchid.results.cause import remedy_of
 
 KINDS = (ViscousFriction, CoulombFriction, RotorInertia, TorqueOffset)
@@ -58,8 +60,27 @@ def test_bodies_are_links_or_all() -> None:
     )  # fmt: skip
 
 
+def test_several_links_are_plural() -> None:
+    assert told_bodies((1, 4)).name == "inertia of links 2 and 5"
+
+
 def test_what_all_joints_share_and_none_feels_much_can_be_read_back() -> None:
     effect = ViscousFriction(0)
     cause = told((effect, [0.4]), [0.1], model(), model(), 0, joints=(), located=(), common=True)
     assert cause.at == ()
     assert valued(cause, ROBOT) == (effect, [0.4])
+
+
+@pytest.mark.parametrize(
+    ("shares", "kept"),
+    [((0.5, -0.1, 0.2), (0, 1, 2)), ((-0.2, 0.1, 0.2), (2,)), ((0.0, 0.0, -0.1), ())],
+)
+def test_forms_of_a_law_take_of_the_error_together(shares, kept) -> None:
+    effects = (ViscousFriction(0), CoulombFriction(0), TorqueOffset(1))
+    causes = tuple(
+        told((e, [0.4]), [0.1], model(), model(), 0, share=share)
+        for e, share in zip(effects, shares, strict=True)
+    )
+    helping, others = that_help(Findings(causes, ()), ROBOT, held_out=False)
+    assert helping.causes == tuple(causes[k] for k in kept)
+    assert others == (len(kept) < 3)

@@ -1,17 +1,21 @@
 """Sentences of the stored answers follow from their numbers."""
 
+import io
+import itertools
 import json
+import math
 import re
 
 import msgspec
 import pytest
+from rich.console import Console
 
 from tests.golden.answers import STORED
 from torchid.effects.registry import KINDS
-from torchid.report.brief import model_words
+from torchid.report.brief import Screen, model_words
 from torchid.report.page.answer import cause_line, first_steps
-from torchid.results.answer import Answer, cause_cells
-from torchid.results.cause import LINK, Cause, Error, remedy_of
+from torchid.results.answer import LARGEST, Answer, cause_cells
+from torchid.results.cause import LINK, Cause, Error, common_name, remedy_of
 from torchid.results.record import decode
 from torchid.results.words import digits, sure
 
@@ -21,6 +25,8 @@ DOCUMENTS = {
     if (data := json.loads(file.read_text())).get("answer")
 }
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+RIDDLES = ("…", "...", "unknown", "as listed below", "no known effect", "which:", "removed")
+"""Words that nobody should have to look up, and signs that something was cut."""
 FIELDS = re.compile(r"\bto (-?\d[\d., -]*)")
 """Numbers that a field is told."""
 
@@ -30,7 +36,8 @@ def answer_of(document: dict) -> Answer:
     answer = decode(json.dumps(document["answer"]).encode(), Answer, "a stored answer")
     put = msgspec.structs.replace
     causes = [
-        put(c, remedy=KINDS[c.effect].remedy if c.effect in KINDS else "") for c in answer.causes
+        put(c, remedy=KINDS[c.effect].remedy if c.effect in KINDS else f"Mend the {c.effect}.")
+        for c in answer.causes
     ]
     return put(answer, causes=tuple(causes))
 
@@ -50,9 +57,10 @@ def test_an_error_in_a_sentence_is_of_the_data_that_it_names(answer: Answer) -> 
     if not answer.causes or not answer.after.value < answer.before.value:
         return
     for text in sentences(answer):
-        assert f"{after} {answer.after.words}" in text
+        assert after in text
+        assert answer.after.words in text
         assert before in NUMBER.findall(text)
-    assert answer.title.endswith(answer.after.whole)
+    assert answer.after.whole in answer.title
     # A table's errors are of the same data: their sum of squares, of positions their mean.
     moving = [j for j in answer.joints if j.after == j.after]
     squares = sum(j.after**2 for j in moving) ** 0.5
@@ -97,6 +105,67 @@ def test_a_cause_has_one_probability(answer: Answer) -> None:
         law = laws.get(entry.at[0]) if own else None
         if law is not None and entry.effect != LINK and law.has(entry.effect):
             assert law.how_sure == entry.how_sure
+
+
+def test_a_step_takes_something_away_of_data_that_were_not_fitted(answer: Answer) -> None:
+    steps = first_steps(answer)
+    if not answer.confirmed:
+        assert "Use m.yaml" not in model_words(answer, "m.yaml", "arm.urdf")
+        return
+    assert answer.after.how != "fitted"
+    assert answer.after.value < answer.before.value
+    assert steps
+    for step in steps:
+        same = [c for c in answer.entries if step.startswith(common_name(c, answer.entries))]
+        assert sum(map(answer.takes, same)) > 0
+        assert "(0 %" not in step
+
+
+def test_without_a_fall_nothing_is_to_be_used(answer: Answer) -> None:
+    """Where the error of the same answer stays, grows, is of fitted data, or a fault is sure."""
+    put = msgspec.structs.replace
+    before = answer.before
+    for worse in (
+        put(answer, after=before), put(answer, after=put(before, value=2 * before.value)),
+        put(answer, after=put(answer.after, how="fitted")), put(answer, doubt="Wrong log: lag."),
+    ):  # fmt: skip
+        assert not worse.confirmed
+        assert "Use m.yaml" not in model_words(worse, "m.yaml", "arm.urdf")
+        for step, cause in itertools.product(first_steps(worse), worse.causes):
+            assert not step.startswith(cause.name)
+        if worse.status not in ("no_gap", "negligible"):
+            assert worse.unconfirmed.startswith("not confirmed: ")
+
+
+def test_no_cause_makes_it_worse(answer: Answer) -> None:
+    assert not [c.effect for c in answer.causes if c.share <= 0]
+    assert not answer.causes or answer.after.value < answer.before.value
+
+
+def test_a_headline_has_the_three_largest_with_size_and_place(answer: Answer) -> None:
+    if not answer.causes or answer.fails:
+        return
+    groups = sorted(
+        answer.groups(answer.entries), key=lambda same: -math.hypot(*map(answer.takes, same))
+    )
+    for same in groups[:LARGEST]:
+        assert answer.sized(same).lower() in answer.headline.lower()
+        assert NUMBER.search(answer.sized(same))
+        assert not same[0].at or answer.where(same) in answer.sized(same)
+        if len(same) == 1 and same[0].known and same[0].law is msgspec.UNSET:
+            assert same[0].known[0].rounded in answer.headline
+    assert (f"{len(groups) - LARGEST} smaller" in answer.headline) == (len(groups) > LARGEST)
+    assert not re.search(r"[(;] ?or ", answer.headline)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_screen_is_whole_and_plain(answer: Answer, width: int) -> None:
+    """Nothing is cut by an ellipsis, no unit is 1, no bound is unknown."""
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(Screen(answer=answer, model=model_words(answer, "m.yaml", "arm.urdf")))
+    text = " ".join(console.export_text().split())
+    assert not [word for word in RIDDLES if word in text]
+    assert not re.search(r"\d 1[,;) ]*$", text)
 
 
 @pytest.mark.parametrize("name", [n for n, d in DOCUMENTS.items() if "budget" in d])

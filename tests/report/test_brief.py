@@ -124,8 +124,8 @@ def test_cautions_are_merged() -> None:
 def test_which_model_to_use() -> None:
     some = answer(2, (cause("backlash", 0),))
     assert model_words(some, "c.yaml", "r.urdf") == (
-        "Use c.yaml: it errs 9 N m on run9, as given 20. Export: torchid export c.yaml --to urdf "
-        "--out DIR"
+        "Use c.yaml, confirmed on run9: error 9 N m, as given 20. Export: torchid export c.yaml "
+        "--to urdf --out exported"
     )
     assert "--save-model" in model_words(some, None, "r.urdf")
     # An error without a sure cause is no reason to use a file as it is.
@@ -142,7 +142,7 @@ def test_which_model_to_use() -> None:
     [
         ((15.0, 19.0), True, "Use r.urdf as it is: its error of 20 N m is noise (15 to 19)."),
         ((5.0, 6.0), True, "no better model than r.urdf, which errs 20 N m (noise 5 to 6)."),
-        ((15.0, math.nan), False, "than r.urdf, which errs 20 N m (noise 15 to unknown)."),
+        ((15.0, math.nan), False, "than r.urdf, which errs 20 N m (noise >= 15)."),
         ((0.0, 30.0), False, "than r.urdf, which errs 20 N m (noise 0 to 30)."),
     ],
 )

@@ -17,7 +17,7 @@ from tests.report.page.reading import headings, parsed, rows_of, text_of
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Status
 from torchid.gap.told import told_bodies
-from torchid.report.diagnosis import STATUS, page, which_model
+from torchid.report.diagnosis import STATUS, page
 from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
 from torchid.results.agreement import MotionScale
@@ -88,7 +88,7 @@ def test_numbers_are_those_of_the_json(undrawn):
         causes=(FRICTION, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
     )
     tree, data = page_of(d), d.plain()
-    rows = rows_of(tree, "causes of the error (value ± std)")
+    rows = rows_of(tree, "Causes of the error (value ± std)")
     assert len(rows) == len(data["which"]) == 4
     for f in data["which"]:
         row = next((r for r in rows if r[0] == effect_words(f["effect"])), None)
@@ -210,11 +210,16 @@ def test_without_plotly_the_drawings_stay(undrawn, monkeypatch):
     assert {"motion", "torque"} <= {f.get("id") for f in tree.iter("figure")}
 
 
-def test_which_model_to_use():
-    said = which_model(diagnosis())
-    assert "--save-model" in said
-    assert "torchid correct" in said
-    assert "as given" in which_model(diagnosis("no_gap", causes=()))
+@pytest.mark.parametrize(
+    ("status", "said"), [("explained", "--save-model"), ("no_gap", "than the model as given")]
+)
+def test_which_model_to_use(status, said):
+    of_nothing = {"causes": ()} if status == "no_gap" else {}
+    (advice,) = (
+        x for title, x in page(diagnosis(status, **of_nothing), made()).advice if "model" in title
+    )
+    assert said in advice[0]
+    assert "ROBOT" not in advice[0]
 
 
 @pytest.mark.slow

@@ -44,7 +44,7 @@ def answer(**other):
 @pytest.mark.parametrize("measured", [False, True])
 def test_all_of_an_error_needs_a_measured_noise(measured):
     said = answer(noise_measured=measured).headline
-    assert "10 -> 8 N m on motions left out, 20 % less" in said
+    assert "error 10 -> 8 N m on motions left out of the fit (20 % less" in said
     assert ("to the noise" in said) == measured
     assert " all" not in said
 
@@ -74,7 +74,7 @@ def test_rivals_of_one_joint_are_no_rivals_of_others():
     ]  # fmt: skip
     said = answer(causes=tuple(causes)).headline
     assert said.startswith(
-        "Torque gain on joints 1 and 2 and torque gain on joint 3 (0.300 ± 0.010;"
+        "Torque gain on joints 1 and 2 (gain = 0.3, 0.3) and torque gain on joint 3 (gain = 0.3): "
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 import yaml
 
+import torchid
 from tests.arms import arm, consistent_parameters, relative, states
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, ModelEffect
@@ -250,3 +251,17 @@ def test_first_moments_in_place_of_centres(inertia: str) -> None:
     both = parameters | {"com": [[0, 0, 0]] * 2, "first_moment": [[0, 0, 0]] * 2}
     with pytest.raises(RobotError, match="needs mass, com"):
         from_mapping(PLACED | {"parameters": both}, "r")
+
+
+def test_a_model_that_no_data_confirm_says_so_first_and_in_what_is_exported(tmp_path: Path) -> None:
+    said = "not confirmed: error 2 -> 2 N m on run9"
+    write_robot(replace(load_robot("3r"), warnings=(said,)), tmp_path / "arm.yaml")
+    assert (tmp_path / "arm.yaml").read_text().startswith(f"# warning: {said}\n")
+    again = load_robot(tmp_path / "arm.yaml")
+    assert again.warnings == (said,)
+    for kind in ("urdf", "mjcf"):
+        torchid.export_dynamics(again, kind, tmp_path / "out", nominal="3r")
+    files = [p for p in (tmp_path / "out").iterdir() if p.suffix in (".urdf", ".xml")]
+    assert len(files) == 2
+    for file in files:
+        assert said in file.read_text().partition("-->")[0]

@@ -10,14 +10,12 @@ from torchid.doctor.examine import FILE, LEAST_SAMPLES, Examination, examine
 from torchid.doctor.kind import holds_no_gravity
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.results.words import short
 from torchid.robot.model import Robot, joint_list
+from torchid.statistics.criteria import UNEXPLAINED
 
 DECISIVE = tuple(name for name, texts in TEXTS.items() if texts.get("decisive"))
 """Checks of faults for which no effect stands."""
 _EXPLAINABLE = ("velocity", "gravity")
-LONGEST = 70
-"""Characters of a doubt, which a headline begins with."""
 
 
 class WrongLogError(LogError):
@@ -48,11 +46,13 @@ class Doubts:
         short: for the headline; empty where nothing does.
         warnings: with the evidence, and what is odd about the robot's file.
         wrong: whether a fault is sure, which no answer settles.
+        foreign: that the torque follows no model of this robot; empty where it follows one.
     """
 
     short: str = ""
     warnings: tuple[str, ...] = ()
     wrong: bool = False
+    foreign: str = ""
 
     @property
     def said(self) -> tuple[str, ...]:
@@ -95,16 +95,28 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
     # The model's own mistakes are what a diagnosis is for: no doubt of the log.
     every = (*odd, *(c for c in found.checks if c.name == FILE))
     notes = tuple(f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in every)
+    foreign = _foreign(found)
     if not odd:
-        return Doubts(warnings=notes)
+        return Doubts(warnings=notes, foreign=foreign)
     text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
-    return Doubts(text, notes, bool(wrong))
+    return Doubts(text, notes, bool(wrong), foreign)
+
+
+def _foreign(found: Examination) -> str:
+    """That torques follow no model of this robot, as the examination has decided it."""
+    if found.search is None or found.search.explained:
+        return ""
+    where = joint_list([j for j, x in enumerate(found.search.left) if x > UNEXPLAINED])
+    said = "; ".join(c.evidence for c in found.checks if c.name == "torque explained")
+    _, known, it_is = said.rpartition(f"the torque of {where} is")
+    more = f": it is{it_is}" if known else ""
+    return f"The torque of {where} follows no model of this robot{more}."
 
 
 def _in_short(check: Check) -> str:
     """A doubt and its remedy: `torque is -28.8 ms late; tau(t) = tau(t - 0.0288 s)`."""
     evidence = re.split(r": | \(|; ", check.evidence)[0]
-    return short("; ".join(filter(None, (evidence, check.fix))), LONGEST)
+    return "; ".join(filter(None, (evidence, check.fix)))
 
 
 def _names(checks: Sequence[Check]) -> str:
@@ -117,4 +129,4 @@ def _names(checks: Sequence[Check]) -> str:
         else c.name
         for c in checks
     ]
-    return short("; ".join(words), LONGEST)
+    return "; ".join(words)

@@ -22,6 +22,7 @@ from torchid.export.mjcf import edited_mjcf, new_mjcf
 from torchid.export.servo_mjcf import check_servos, write_servos
 from torchid.export.urdf import edited_urdf, in_joint_frames, new_urdf
 from torchid.export.xml_tree import XmlFile, set_head
+from torchid.files import UNCONFIRMED
 from torchid.robot.library import load_robot
 from torchid.robot.model import STANDARD_GRAVITY, Robot
 from torchid.robot.origin import same_places
@@ -68,7 +69,8 @@ def write_xml(
     sure = None if original is None else written.knowledge
     beside = bool(rest) or gravity is not None or sure is not None
     side = sidecar_path(path)
-    head = f"dynamics of {dynamics.title}; torchid {__version__}."
+    mark = "".join(f"{w} " for w in written.warnings if w.startswith(UNCONFIRMED))
+    head = f"{mark}dynamics of {dynamics.title}; torchid {__version__}."
     if beside:
         head += f" What this format cannot say is in {side.name}, which torchid reads with it."
     set_head(file.root, "\n    ".join([head, *(effect_text(*pair, robot) for pair in rest)]))

@@ -236,7 +236,7 @@ def prepare(
     said = [*warnings, *spread, *(w for m in measured for w in m.warnings)]
     if still:
         said.append(
-            f"Next time: {joint_list(still)} is at rest in all of it, so no cause can be "
+            f"Next time: move {joint_list(still)}: at rest in all of this log, so no cause can be "
             "found there."
         )
     if highest < CUTOFF:

@@ -9,6 +9,7 @@ from torchid.design.motion import no_torque
 from torchid.design.sensor import sensor_of
 from torchid.doctor.first import ask_first
 from torchid.errors import TorchidError
+from torchid.gap.describe.verdict import CHECK_FIRST
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch
 from torchid.gap.rows import LogRows, rows_of
@@ -115,8 +116,14 @@ def diagnose(
             found = _of_positions(robot, handed.pop(), held_out, settings, servo, say, watch)
     answer = found.answer
     settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
-    text = "" if settled and not doubts.wrong else doubts.short
-    return replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *found.warnings))
+    text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
+    # What the doctor has decided is said once.
+    told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
+    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *told))
+    mark = found.answer.unconfirmed
+    if not mark or not isinstance(found, TorqueDiagnosis):
+        return found
+    return replace(found, corrected=replace(found.corrected, warnings=(mark,)))
 
 
 def earlier_log(

@@ -55,9 +55,6 @@ UNLIKE = 0.5
 """Share of the torque's variance on joints that move, beyond which it does not follow the model as
 given [1]."""
 
-FOREIGN = "Most of this torque does not follow the model."
-ALIEN = "This torque does not follow the model at all."
-
 
 @dataclass(frozen=True)
 class Trace:
@@ -362,7 +359,7 @@ class TorqueDiagnosis(Diagnosis):
             suspects=self.suspects,
             small=self.small,
             reason=self._reason,
-            doubt=self.doubt or self._foreign or UNSET,
+            doubt=self.doubt or UNSET,
             since=self.since,
         )
 
@@ -386,14 +383,6 @@ class TorqueDiagnosis(Diagnosis):
         if self.status == "no_gap" and self.not_testable:
             return f"{count(len(self.not_testable), 'effect')} could not have been seen in it."
         return ""
-
-    @property
-    def _foreign(self) -> str:
-        """That the torque is another one than the model's, where nothing is named; else empty."""
-        if self.status != "detected_unexplained" or self.causes or not self.traces:
-            return ""
-        alien = bool(alien_joints(self.traces).any())
-        return ALIEN if alien else FOREIGN if is_foreign(self.traces) else ""
 
     def write_corrected(self, path: str | Path, *, rows: bool = True) -> None:
         """Write the corrected robot with its effects as a .yaml, and beside it, as .rows.npz, the

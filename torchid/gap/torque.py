@@ -45,7 +45,7 @@ from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
 from torchid.parallel.workers import Progress, in_shares
 from torchid.results.answer import NotTestable, ordered
-from torchid.results.cause import LINK
+from torchid.results.cause import LINK, Cause
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import SHORTEST_LOG, UNLIKELY
@@ -128,6 +128,7 @@ def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagno
     recommended = Model(corrected.robot, lasting).described()
     known = known_of(found, after, decision.least)
     said = with_changes(said, known, problem.robot)
+    said, harmful = that_help(said, problem.robot, problem.judged is not None)
     small = small_effects(found, explained)
     unnamed = without_name(found, decision.claims, taken.shares)
     if decision.dropped is not None:
@@ -149,7 +150,7 @@ def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagno
             decision.unnamed_squares(falls),
             hides or is_poor(found, unseen),
             shown=all(t.shown for t in found.terms),
-            taken=decision.taken_back,
+            taken=decision.taken_back or harmful,
             small=bool(small),
         ),
         joints=joints,
@@ -174,6 +175,28 @@ def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagno
         knowledge=known,
         rows=kept(data.samples, problem.robot),
     )
+
+
+def that_help(said: Findings, robot: Robot, held_out: bool) -> tuple[Findings, bool]:
+    """Those that take something of the error away, of a joint's law all forms together, and whether
+    there are others: these stay in the model, unnamed. Held-out data on which all of them fail are
+    said first, with their names."""
+    laws = [_law(c, robot) for c in said.causes]
+    taken = dict.fromkeys(laws, 0.0)
+    for law, cause in zip(laws, said.causes, strict=True):
+        taken[law] += cause.share
+    failed = said.causes and all(c.share == 0 for c in said.causes) and held_out
+    pairs = zip(laws, said.causes, strict=True)
+    helping = tuple(c for law, c in pairs if failed or not taken[law] <= 0)
+    return replace(said, causes=helping), len(helping) < len(said.causes)
+
+
+def _law(cause: Cause, robot: Robot) -> tuple[str, tuple[int, ...]]:
+    """What takes of the error as a whole: a joint's law, whose forms may do so against each other,
+    or the cause itself."""
+    one = cause.effect != LINK and len(cause.at) == 1
+    law = valued(cause, robot)[0].law if one else ""
+    return law or cause.effect, cause.at
 
 
 def with_refit(said: Findings, decision: Decision) -> Findings:

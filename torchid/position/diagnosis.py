@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -34,8 +34,8 @@ from torchid.position.record import (
 )
 from torchid.position.repeats import PositionNoise
 from torchid.results.agreement import RunValue
-from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
-from torchid.results.cause import JudgedOn
+from torchid.results.answer import UNCHANGED, Answer, Diagnosis, JointError, NotTestable
+from torchid.results.cause import Cause, JudgedOn
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
 from torchid.robot.model import error_unit
@@ -198,11 +198,20 @@ class PositionDiagnosis(Diagnosis):
         between = torch.stack([torch.zeros_like(unseen), unseen], 1)
         return torch.where(measured.isfinite(), measured, between)
 
+    @cached_property
+    def _named(self) -> tuple[Cause, ...]:
+        """Causes that are likely and take something away of the error of motions left out."""
+        fall = (self.before.whole - self.answered.whole).nan_to_num(0.0)
+        fell = self.answered.whole_mrad < UNCHANGED * self.before.whole_mrad
+        every = [f.cause for f in self.findings if f.how_sure is None or f.how_sure >= LIKELY]
+        falls = [float((fall[list(c.at)] if c.at else fall).max()) for c in every]
+        return tuple(c for c, x in zip(every, falls, strict=True) if fell and min(c.share, x) > 0)
+
     @property
     def status(self) -> str:
         """`no_gap` beside the servos before; `explained`, where what is named closes most of it;
         `partly_explained`, where something else is there too; `detected_unexplained`."""
-        if not any(f.how_sure is None or f.how_sure >= LIKELY for f in self.findings):
+        if not self._named:
             return "no_gap" if math.isnan(self.closed) else "detected_unexplained"
         return "partly_explained" if self._closed_in_windows < MOSTLY_EXPLAINED else "explained"
 
@@ -238,7 +247,7 @@ class PositionDiagnosis(Diagnosis):
                 after=self._far[1].whole,
                 noise=noise,
             ),
-            causes=tuple(c for c in every if c.how_sure is None or c.how_sure >= LIKELY),
+            causes=tuple(sorted(self._named, key=lambda c: -c.share)),
             suspects=tuple(
                 msgspec.structs.replace(c, role="suspect")
                 for c in every
@@ -337,7 +346,9 @@ class PositionDiagnosis(Diagnosis):
             std[one.joint, [INDEX[name] for name in one.names]] = one.covariance.diagonal().sqrt()
         free = torch.zeros_like(self.still) if self.unanchored is None else self.unanchored
         joints = tuple((free & ~self.still).nonzero().flatten().tolist())
-        return ServoArm(self.data.robot, self.servos, self.data.scale, std, joints)
+        mark = self.answer.unconfirmed
+        robot = replace(self.data.robot, warnings=(mark,)) if mark else self.data.robot
+        return ServoArm(robot, self.servos, self.data.scale, std, joints)
 
     def write_corrected(self, path: str | Path, *, rows: bool = True) -> None:
         """Write the robot with its servos as a .yaml.

@@ -16,7 +16,7 @@ from torchid.report.cautions import cautions
 from torchid.report.page.answer import first_steps
 from torchid.results.answer import UNCHANGED, Answer, JointRow, cause_cells, ordered
 from torchid.results.cause import Cause
-from torchid.results.words import count, digits, span, sure
+from torchid.results.words import count, digits, listed, span, sure
 from torchid.statistics.criteria import EXCESS
 
 MOST_LINES = 23
@@ -91,7 +91,8 @@ class Screen:
     def _parts(self, detail: Detail, width: int) -> Iterator[Text | Table]:
         """From the headline to the cautions."""
         answer, rows = self.answer, self.answer.joint_rows()
-        yield Text(visible(answer.headline), "bold")
+        for line in answer.headline.split("\n"):
+            yield Text(visible(line), "bold")
         if rows:
             band = f", below {digits(self.band)} Hz" if self.band else ""
             yield Text(visible(f"{answer.title}{band}"), "italic")
@@ -113,12 +114,12 @@ class Screen:
     def _table(self, rows: Sequence[JointRow], detail: Detail, width: int) -> Table:
         """One row a joint."""
         table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False)
-        wide, given = width >= WIDE, self.answer.given
+        wide, given = width >= WIDE, self.answer.given.split(" (")[0]
         table.add_column("joint", no_wrap=True)
         table.add_column(f"{given} -> corrected" if wide else f"{given} -> now", no_wrap=True)
         if wide:
             table.add_column("noise", no_wrap=True)
-            table.add_column("█ left ░ removed", no_wrap=True)
+            table.add_column("█ left ░ gone", no_wrap=True)
         table.add_column(
             "its own causes, value ± std (how sure)" if wide else "own cause (how sure)"
         )
@@ -130,7 +131,7 @@ class Screen:
                 continue
             cells = [label, f"{digits(error.before)} -> {digits(error.after)}"]
             if wide:
-                cells.append(span(error.noise, 2, " - "))
+                cells.append(span(error.noise, 2))
                 cells.append(bar(error.before, error.after, longest))
             text = "; ".join(_causes(row, detail)) or self._hint(row, detail)
             table.add_row(*(Text(visible(cell)) for cell in (*cells, text)))
@@ -140,13 +141,14 @@ class Screen:
         """What would lower the error of a joint without a cause of its own."""
         if may := _may(row, detail):
             return may
-        shared = (c for same in self.answer.shared() for c in same)
-        own = any(row.error.joint in c.at or not c.at for c in shared)
-        if own and row.error.after < UNCHANGED * row.error.before:
-            return "as listed below"
-        if row.error.after <= max(row.error.noise):
-            return "within the noise"
-        return "no known effect" if self.answer.noise_measured else "unknown, or noise"
+        joint, error = row.error.joint, row.error
+        shared = (same[0] for same in self.answer.shared() if _acts(same, joint))
+        names = list(dict.fromkeys(c.name for c in shared))
+        if names and error.after < UNCHANGED * error.before:
+            return f"{listed(names, most=NAMED)} (below)"
+        if error.after <= max(error.noise):
+            return "noise"
+        return "no cause found" + ("; may be noise" if math.isnan(error.noise[1]) else "")
 
 
 def _causes(row: JointRow, detail: Detail) -> list[str]:
@@ -161,6 +163,13 @@ def _causes(row: JointRow, detail: Detail) -> list[str]:
     return texts
 
 
+def _acts(same: Sequence[Cause], joint: int) -> bool:
+    """Whether causes of one name lower the error of a joint."""
+    if same[0].removes:
+        return sum(c.removes[joint] for c in same) > 0
+    return any(joint in c.at or not c.at for c in same)
+
+
 def _may(row: JointRow, detail: Detail) -> str:
     """What may lower what is left of a joint's error: a suspect, or an effect that is small."""
     every = [("perhaps", c) for c in row.suspects] + [("small:", c) for c in row.small]
@@ -170,7 +179,8 @@ def _may(row: JointRow, detail: Detail) -> str:
 def _named(cause: Cause, detail: Detail) -> str:
     """`torque gain 0.11 ± 0.02 (51 %)`."""
     values = f" {cause.values(detail.std)}{cause.rivals}".rstrip() if detail.values else ""
-    return f"{cause.name}{values} ({sure(cause.how_sure)})"
+    name = cause.glossed if detail.values else cause.name
+    return f"{name}{values} ({sure(cause.how_sure)})"
 
 
 def bar(before: float, after: float, longest: float) -> str:
@@ -187,7 +197,7 @@ def short_label(label: str, length: int) -> str:
     number, _, name = label.partition(" ")
     name = re.sub(r"[_ ]?joint(?=[_ ]|$)[_ ]?", "_", name).strip("_ ")
     label = f"{number} {name}".rstrip()
-    return label if len(label) <= length else label[: length - 1] + "…"
+    return label[:length].rstrip("_ ")
 
 
 def caution_lines(warnings: Sequence[str], width: int) -> Iterator[Text]:
@@ -219,14 +229,19 @@ def model_words(answer: Answer, model: str | None, given: str) -> str:
         if answer.noise_measured and before.value <= math.sqrt(EXCESS) * answer.noise[1]:
             return f"Use {given} as it is: its error of {size} is noise ({noise})."
         return f"This log gives no better model than {given}, which errs {size} (noise {noise})."
-    if not answer.causes or answer.fails or not after.value < before.value:
+    if not answer.causes:
         errs = f"{given} errs" if answer.given == "as given" else "a plain servo errs"
         return (
             f"This log gives no model that is surely better: {errs} {before.size} {before.words}, "
-            + ("and no cause of it is sure." if not answer.causes else f"corrected {after.size}.")
+            "and no cause of it is sure."
         )
-    change = f"errs {after.size} {after.words}, {answer.given} {digits(before.value)}"
+    name, errs = model or "the corrected model", f"error {after.size}"
+    whole = f"{answer.given} {digits(before.value)}"
+    if not answer.confirmed:
+        name = model or "The corrected model"
+        return f"{name} is not confirmed: {errs} {after.words}, {whole}."
+    text = f"Use {name}, confirmed {after.words}: {errs}, {whole}."
     if model is None:
-        return f"The corrected model {change}. --save-model corrected.yaml keeps it."
+        return f"{text} --save-model corrected.yaml keeps it."
     target = "mjcf" if answer.of_positions else "urdf"  # a URDF has no servos
-    return f"Use {model}: it {change}. Export: torchid export {model} --to {target} --out DIR"
+    return f"{text} Export: torchid export {model} --to {target} --out exported"

@@ -22,7 +22,6 @@ from torchid.results.words import (
     percent,
     sure,
     unit_behind,
-    unit_words,
 )
 from torchid.statistics.proportion import HALF_95
 
@@ -65,20 +64,20 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
     rows = []
     for cause in (*record.answer.causes, *record.answer.small):
         removes = "-" if math.isnan(cause.share) else percent(cause.share)
-        removes += "" if math.isnan(cause.alone) else f", alone {percent(cause.alone)}"
+        removes += "" if math.isnan(cause.alone) else f"; by itself {percent(cause.alone)}"
         if cause.role == "small":
             removes = f"small: {cause.closes_rms:.2g} RMS"
         others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
         again = repeat_words(cause.replication)
         cells = (number_list(cause.at, "all"), _values(cause), others, removes)
         rows.append((cause.name, *cells, sure(cause.how_sure), again))
-    columns = ("effect", "joints", "value", "could also be", "removes", "sure", "found in")
+    columns = ("effect", "joints", "value", "could also be", "share", "sure", "same size in")
     note = (
-        "or: could also be; removes: share of the error that this cause takes away, the mean over "
-        "all orders in which the causes may join (shares add up), and by itself; found in: motions "
-        "with the same size, of those that can show it"
+        "share: of the error that this cause takes away, the mean over all orders in which the "
+        "causes may join (shares add up), and by itself; same size in: of the motions that can "
+        "show it"
     )
-    return Table("which: causes of the error (value ± std)", columns, rows, "lllp", note)
+    return Table("causes of the error (value ± std)", columns, rows, "lllp", note)
 
 
 def _values(cause: Cause) -> str:
@@ -150,7 +149,7 @@ def not_testable_table(record: GapRecord | PositionRecord) -> Table:
             if x.smallest_detectable is None:
                 never.append(place)
             else:
-                sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_words(x.unit)}".rstrip())
+                sizes.append(f"{place}: {x.smallest_detectable:.3g} {unit_behind(x.unit)}".rstrip())
         sizes += [f"{', '.join(never)}: at no size"] if never else []
         why = number_ranges([x.reason for x in members], _NUMBER)
         rows.append((effect_words(effect), "; ".join(sizes), why))

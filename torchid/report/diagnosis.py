@@ -117,7 +117,7 @@ def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
         picture=_arm_picture(result),
         advice=(
             ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
-            ("Which model to use", [which_model(result, model)]),
+            ("Which model to use", [model or model_words(answer, None, "the model as given")]),
             # Without causes, what would settle the suspects is what to do first.
             (
                 "Suspects, not sure enough",
@@ -136,25 +136,14 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
         ("Verdict", STATUS[answer.status]),
         ("Error before", answer.before.size),
         ("Error after", answer.after.size),
-        ("Removed", percent(answer.less)),
+        ("Less by", percent(answer.less)),
         ("Judged", answer.after.whole),
         ("Noise", f"{span(answer.noise)} {unit}"),
     ]
     if isinstance(result, PositionDiagnosis):
         alone = f"{digits(result.commanded.whole_mrad)} {unit}"
-        return [*out, ("Command alone, on motions left out", alone)]
+        return [*out, ("Command alone", alone)]
     return out
-
-
-def which_model(result: TorqueDiagnosis | PositionDiagnosis, model: str = "") -> str:
-    """The model as given, or the corrected one, as `model` says it where it does, and what corrects
-    the simulator's file."""
-    answer = result.answer
-    text = model or model_words(answer, None, "the model as given")
-    if not answer.causes or isinstance(result, PositionDiagnosis):
-        return text
-    file = "`torchid correct ROBOT LOG.. --to mjcf` (or urdf) corrects your simulator's file."
-    return f"{text.rstrip('.')}. {file}"
 
 
 def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:

@@ -67,9 +67,7 @@ def joint_table(record: GapRecord) -> Table:
     if unit := torque_unit(robot, ""):
         rows.append(("all", *sizes(unit, *map(math.hypot, *levels)), "", ""))
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    title = (
-        f"where, and how far: RMS of the torque the model lacks, below {digits(record.band_hz)} Hz"
-    )
+    title = f"RMS of the torque the model lacks, below {digits(record.band_hz)} Hz"
     columns = ("joint", "as given", "corrected", "noise", "share", regimes)
     return Table(title, columns, rows, "prrrrp", budget_words(record))
 

@@ -3,6 +3,7 @@ remove of it, and which they are."""
 
 import itertools
 from collections.abc import Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,7 @@ def _pose(robot: Robot, q: Float[Tensor, "T n"]) -> tuple[np.ndarray, list[tuple
 def _labels(robot: Robot, answer: Answer) -> dict[int, list[str]]:
     """Lines beside each joint: its name with its errors, then its causes, the largest first."""
     causes: dict[int, list[str]] = {j: [] for j in range(robot.n)}
-    for cause in sorted(answer.causes, key=lambda c: -c.share):
+    for cause in sorted(answer.entries, key=lambda c: -c.share):
         own: Sequence[int] = cause.at
         if cause.effect == "link_inertia":  # the joints that move links, or carry them nearest
             own = [robot.drives[k].coordinate if k < robot.n_links else robot.n - 1 for k in own]
@@ -136,7 +137,8 @@ def _labels(robot: Robot, answer: Answer) -> dict[int, list[str]]:
             error = f"{one.before:.3g} \u2192 {one.after:.3g}"
         name = short(names[j].removesuffix("_joint"), _LETTERS - len(error) + 4)
         every = list(dict.fromkeys(causes[j]))
-        labels[j] = [f"{name}   {error}", *(short(text, _LETTERS) for text in every[:MOST_NAMED])]
+        lines = [line for text in every[:MOST_NAMED] for line in wrap(text, _LETTERS)]
+        labels[j] = [f"{name}   {error}", *lines]
         if len(every) > MOST_NAMED:
             labels[j].append(f"and {len(every) - MOST_NAMED} more")
     return labels

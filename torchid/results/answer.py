@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 from msgspec import UNSET, UnsetType
 
+from torchid.files import UNCONFIRMED
 from torchid.notebooks import html_table
 from torchid.results.agreement import RunValue
 from torchid.results.cause import (
@@ -23,6 +24,7 @@ from torchid.results.cause import (
     Cause,
     Error,
     common_name,
+    law_sizes,
     remedy_of,
     values_of,
 )
@@ -30,7 +32,6 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
     digits,
-    effect_words,
     joint_labels,
     joints_words,
     listed,
@@ -41,8 +42,12 @@ from torchid.results.words import (
 
 MOST = 0.5
 """Share of the joints above which a cause that they have in common is one row."""
-LONGEST = 160
-"""Characters of a headline: two lines of 80."""
+LONGEST = 240
+"""Characters of a headline that names more than one cause: three lines of 80."""
+MOST_VALUES = 6
+"""Joints whose values it has, one by one."""
+LARGEST = 3
+"""Causes that it names, with sizes and places."""
 FAILS = 2.0
 """Error of held-out data over that of motions left out in turn, from which on it is said first."""
 UNCHANGED = 0.99
@@ -56,6 +61,9 @@ KINDS = ("Next time", "Caution")
 
 COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 
+
+PLAIN_SERVO = "plain servo: gain, friction, inertia, delay and offset, fitted to this log"
+"""What the error before is of where the robot's file has no servo."""
 
 REMEDY = (
     "Give the simulator each joint's friction over speed; `torchid export` writes the nearest "
@@ -108,9 +116,14 @@ class JointError(Part, frozen=True, kw_only=True):
     noise: Ends
 
     @property
+    def still(self) -> bool:
+        """Whether it never moves, and so has no error to explain."""
+        return math.isnan(self.before)
+
+    @property
     def beyond_noise(self) -> float:
         """Mean square beyond the highest noise known; minus infinity where it never moves."""
-        if math.isnan(self.before):
+        if self.still:
             return -math.inf
         return self.before**2 - max([x for x in self.noise if not math.isnan(x)], default=0.0) ** 2
 
@@ -140,7 +153,7 @@ class JointRow:
     @property
     def never_moves(self) -> bool:
         """Whether it has no error to explain."""
-        return self.error.before != self.error.before
+        return self.error.still
 
 
 class Answer(Part, frozen=True, kw_only=True):
@@ -233,76 +246,87 @@ class Answer(Part, frozen=True, kw_only=True):
         )
 
     @property
+    def confirmed(self) -> bool:
+        """Whether data that no model was fitted to confirm the causes: the error fell on them, on
+        other motions most likely too, and nothing speaks against the log."""
+        if not self.causes or self.after.how == "fitted" or self.fails or self.doubt:
+            return False
+        low = 1.0 if self.closed_ci95 is None else self.closed_ci95[0]
+        fell = self.after.value < UNCHANGED * self.before.value
+        return fell and self.closed is not None and low > 0
+
+    @property
+    def unconfirmed(self) -> str:
+        """Why a corrected model is not to be relied on, which its file begins with; empty where
+        data confirm it, or nothing is corrected."""
+        if self.confirmed or self.status in ("no_gap", "negligible"):
+            return ""
+        change = f"error {digits(self.before.value)} -> {self.after.size} {self.after.words}"
+        return f"{UNCONFIRMED} {self.doubt or self.fails or change}"
+
+    @property
     def of_positions(self) -> bool:
         """Whether its errors are of positions."""
         return self.unit.startswith("m")  # mrad, mm
 
     @property
     def headline(self) -> str:
-        """The answer in at most two lines of 80 characters, after what speaks against the log."""
-        if self.fails:
-            return _cut(self.fails, LONGEST)
-        if not self.doubt:
-            return self._headline(LONGEST)
-        return f"{self.doubt} {self._headline(LONGEST - len(self.doubt) - 1)}"
-
-    def _headline(self, longest: int) -> str:
-        before, after = self.before, self.after
-        change = f"{digits(before.value)} -> {after.size} {after.words}"
-        size, unchanged = before.size, after.value > UNCHANGED * before.value
-        noise = span(self.noise)
+        """What lowers the error and how far, after a line with what speaks against the log."""
         if self.status == "searching":
-            return self._so_far(longest)
-        if not self.causes:
-            none = {"no_gap": "beyond noise", "negligible": "that matters"}
-            if math.isnan(self.noise[1]):  # noise may be all of it, and need not be
-                none = dict.fromkeys(none, "that this log can tell from noise")
-            said = {k: f"No gap {words}: {size} (noise {noise})." for k, words in none.items()}
-            said["not_testable"] = "This log cannot show what causes a gap:"
-            worst = max(self.joints, key=lambda j: j.beyond_noise)
-            # Beside what speaks against all of the log no bracket of its noise does.
-            gap = f"No known effect explains {self.error} of {size}"
-            gap += "." if self.doubt else f" (noise {noise})."
-            gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
-            text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
-            if self.suspects and self.status in ("detected_unexplained", "not_testable"):
-                why = "No cause is sure." if self.status == "detected_unexplained" else text
-                text = f"{why} Most likely: {self.suspect_words(self.suspects[0])}."
-            return _cut(text, longest)
-        rest = ""
-        if self.closed is None or unchanged:
-            verb, end = ("fits", "fit"), f"{self.error}: {change}."
-            if unchanged:
-                rest = " Nothing is confirmed."
-        else:
-            verb, end = ("lowers", "lower"), f"{self.error}: {change}, {percent(self.less)} less."
-            if self.noise_measured and self.closed >= ALL:
-                end = f"{self.error} to the noise: {change}, {percent(self.less)} less."
+            return self._so_far()
+        text = self.fails or (self._of_causes() if self.causes else self._without_cause())
+        return f"{self.doubt}\n{text}" if self.doubt else text
+
+    def _without_cause(self) -> str:
+        """Why nothing is named."""
+        size, noise = self.before.size, span(self.noise)
+        none = {"no_gap": "beyond noise", "negligible": "that matters"}
+        if math.isnan(self.noise[1]):  # noise may be all of it, and need not be
+            none = dict.fromkeys(none, "that this log can tell from noise")
+        said = {k: f"No gap {words}: {size} (noise {noise})." for k, words in none.items()}
+        said["not_testable"] = "This log cannot show what causes a gap:"
+        worst = max(self.joints, key=lambda j: j.beyond_noise)
+        # Beside what speaks against all of the log no bracket of its noise does.
+        gap = f"No known effect explains {self.error} of {size}"
+        gap += "." if self.doubt else f" (noise {noise})."
+        gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
+        text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
+        if self.suspects and self.status in ("detected_unexplained", "not_testable"):
+            why = "No cause is sure." if self.status == "detected_unexplained" else text
+            text = f"{why} Most likely: {self.suspect_words(self.suspects[0])}."
+        return text
+
+    def _of_causes(self) -> str:
+        """The largest causes with sizes and places, and how far all of them lower the error."""
+        after, rest = self.after, ""
+        change = f"error {digits(self.before.value)} -> {after.size} {after.words}"
+        if self.confirmed:
+            change += f" ({percent(self.less)} less"
             # What has no name may as well cancel against the causes.
             if self.unnamed > 0 and percent(self.unnamed) != percent(0.0):
-                end = f"{end[:-1]} ({percent(self.unnamed)} without a sure name)."
-            if self.closed_ci95 is not None and self.closed_ci95[0] <= 0:
-                rest = " Other motions may not confirm it."
-            elif self.status in ("detected_unexplained", "partly_explained"):
+                change += f", {percent(self.unnamed)} without a sure name"
+            change += (
+                ", to the noise)" if self.noise_measured and (self.closed or 0) >= ALL else ")"
+            )
+            if self.status in ("detected_unexplained", "partly_explained"):
                 rest = " The rest has no known cause."
-        # The two largest causes with their numbers, new ones first; fewer words where these do not
-        # fit.
-        groups = sorted(self.groups(self.entries), key=lambda same: same[0].when == "in both")
-        for most, values, rivals in (
-            (2, 2, 2), (2, 1, 1), (2, 0, 1), (1, 1, 2), (1, 0, 1), (1, 0, 0)
-        ):  # fmt: skip
-            shown = enumerate(groups[:most])
-            names = [self._named(same, k < values, rivals) for k, same in shown]
-            more = len(groups) - most
-            names += [f"{more} more"] if more > 0 else []
-            text = listed(names)
-            many = len(names) > 1 or (len(groups[0]) > 1 and groups[0][0].effect == LINK)
-            said_all = f"{text[:1].upper()}{text[1:]} {verb[many]} {end}{rest}"
-            if len(said_all) <= longest:
-                return said_all
-        return _cut(said_all, longest)
 
-    def _so_far(self, longest: int) -> str:
+        def order(same: Sequence[Cause]) -> tuple[bool, float]:
+            return same[0].when == "in both", -math.hypot(*map(self.takes, same))
+
+        groups = sorted(self.groups(self.entries), key=order)
+        for most in range(LARGEST, 0, -1):
+            smaller = len(groups) - most
+            names = list(map(self.sized, groups[:most]))
+            others = [f"{smaller} {'more' if self.since else 'smaller'}"] if smaller > 0 else []
+            text = listed([*names, *others])
+            text = text if self.confirmed else f"not confirmed: {text}"
+            text = f"{text[:1].upper()}{text[1:]}: {change}.{rest}"
+            if len(text) <= LONGEST:
+                break
+        return text
+
+    def _so_far(self) -> str:
         """Of a search that goes on: where the error is, and what removes most of it."""
         moving = [j for j in self.joints if j.before == j.before]
         worst = sorted(moving, key=lambda j: -j.before)[:2]
@@ -315,7 +339,44 @@ class Answer(Part, frozen=True, kw_only=True):
                 for same in self.groups(self.causes)
             ]  # fmt: skip
             text += f" Likeliest: {listed(names, most=3)}; {self.after.size} remain."
-        return _cut(text, 2 * longest)
+        return text
+
+    def takes(self, cause: Cause) -> float:
+        """How much of the arm's error a cause takes away; of positions of its joints' error."""
+        if math.isnan(cause.share):
+            return 0.0
+        if not self.of_positions:
+            return cause.share * self.before.value
+        own = [j for j in self.joints if (j.joint in cause.at or not cause.at) and not j.still]
+        return max((min(cause.share * j.before, j.before - j.after) for j in own), default=0.0)
+
+    def sized(self, same: Sequence[Cause]) -> str:
+        """`8.03 N m Coulomb friction on joint 2`, `torque gain on all joints (gain = 0.3)`; of what
+        has no one number how much it takes away."""
+        first, name = same[0], common_name(same[0], same)
+        if first.effect == LINK:
+            name = Cause(effect=LINK, joints=tuple(j for c in same for j in c.at)).name
+        elif any(c.at for c in same):
+            name += f" on {self.where(same)}"
+        if first.window is not UNSET:
+            name += f" {first.window.words}" if len(same) == 1 else f", {len(same)} times"
+        name += f" ({WHENS[first.when].format(self.since)})" if first.when else ""
+        size = first.known[0].sharp if first.known and len(same) == 1 else None
+        if first.law is not UNSET:
+            inner = law_sizes([c.law for c in same if c.law is not UNSET])
+        elif len(same) > 1 and all(c.known for c in same):
+            inner = values_of(same, most=MOST_VALUES)
+        elif size is None:
+            inner = f"{digits(math.hypot(*map(self.takes, same)), 2)} {self.unit}"
+        elif first.branch:
+            kind, _, likely = name.partition(" (likely ")
+            likely, _, place = likely.partition(")")
+            return f"{kind}{place} (likely {size.words} {likely})"
+        elif size.plain and (len(first.sizes) == 1 or first.effect == "payload"):
+            return f"{size.words} {name}"
+        else:
+            inner = size.named
+        return f"{name} ({inner})"
 
     def suspect_words(self, cause: Cause) -> str:
         """`viscous friction on joint 3 (5.6 ± 0.7 N m s/rad, 82 %)`."""
@@ -355,29 +416,6 @@ class Answer(Part, frozen=True, kw_only=True):
         kinds = dict.fromkeys(map(_kind, causes))
         for kind in kinds:
             yield sorted((c for c in causes if _kind(c) == kind), key=lambda c: c.at)
-
-    def _named(self, same: Sequence[Cause], values: bool, rivals: int) -> str:
-        """`Coulomb friction on joint 2 (0.61 ± 0.02 N m)`, with so many rivals."""
-        first = same[0]
-        if first.effect == LINK:
-            joints = tuple(j for c in same for j in c.at)
-            text = Cause(effect=first.effect, joints=joints).name
-        else:
-            place = f" on {self.where(same)}" if any(c.at for c in same) else ""
-            text = common_name(first, same) + place
-        known, inner = first.known, []
-        if values and len(same) > 1 and first.changed and len(known) == 1:
-            inner.append(values_of(same))
-        elif values and len(same) == 1 and known and (len(known) == 1 or first.effect == "payload"):
-            inner.append(known[0].words)
-        if first.changed and not inner:
-            text = f"changed {text}"
-        others = list(dict.fromkeys(effect_words(x) for c in same for x in c.ambiguous_with))
-        if others and rivals:
-            inner.append(f"or {listed(others, 'or', most=rivals)}")
-        if first.when:
-            inner.append(WHENS[first.when].format(self.since))
-        return f"{text} ({'; '.join(inner)})" if inner else text
 
     def shared(self) -> list[tuple[Cause, ...]]:
         """Causes that most joints have, those of one name together; and each cause that is not of
@@ -435,12 +473,13 @@ class Answer(Part, frozen=True, kw_only=True):
     @property
     def title(self) -> str:
         """Of the table."""
-        return f"RMS error [{self.unit}] {self.after.whole}"
+        servo = "" if self.given == "as given" else f"; {PLAIN_SERVO}"
+        return f"RMS error [{self.unit}] {self.after.whole}{servo}"
 
     @property
     def suspect_lines(self) -> list[str]:
         """Each suspect, and what would settle it."""
-        return [f"{self.suspect_words(c)}: {c.remedy}" for c in self.suspects]
+        return [f"{self.suspect_words(c)}: {remedy_of([c])}" for c in self.suspects]
 
     def __str__(self) -> str:
         """The headline, and the table with a space between its columns."""
@@ -536,14 +575,7 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
     end = (sure(min(known, default=None)), remedy_of(same, short=True))
     when = f", {first.when}" if first.when else ""
     if len(same) == 1:
-        name = "inertia" if first.effect == LINK and first.at else first.name
+        name = "inertia" if first.effect == LINK and first.at else first.glossed
         return (f"{name} {first.values()}".rstrip() + first.rivals + when, *end)
     rivals = next((c.rivals for c in same if c.rivals), "")
     return (f"{common_name(first, same)} {values_of(same)}{rivals}{when}", *end)
-
-
-def _cut(text: str, longest: int) -> str:
-    """No longer than a headline may be: whole words, and an ellipsis."""
-    if len(text) <= longest:
-        return text
-    return text[: longest - 2].rsplit(" ", 1)[0].rstrip(",;") + " …"

@@ -17,12 +17,14 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Joint, Part, Real, Values
 from torchid.results.words import (
     BRANCHES,
+    GLOSS,
     digits,
     effect_words,
     joints_words,
     listed,
     measure,
     percent,
+    span,
     unit_behind,
 )
 
@@ -35,6 +37,9 @@ MOST_NAMES = 2
 
 NO_FIELD = "Give the simulator this torque: no field of its file takes a negative number."
 """What to do about a number with a sign that files cannot say."""
+
+NO_LIMIT = "Take the file's limit out: the arm shows none."
+"""What to do about a number that is infinite."""
 
 How = Literal["fitted", "left out in turn", "held out"]
 """How data were judged: by a model that was fitted to them; by models each of which was fitted
@@ -74,19 +79,19 @@ class JudgedOn(Part, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """`on run9`, `on motions left out`, `on the data that were fitted`."""
+        """`on run9`, `on motions left out of the fit`, `on the data that were fitted`."""
         if self.how == "held out":
             return f"on {held_out_words(self.on)}"
         if self.how == "fitted":
             return "on the data that were fitted"
-        return "on stretches left out" if len(self.on) == 1 else "on motions left out"
+        return f"on {'stretches' if len(self.on) == 1 else 'motions'} left out of the fit"
 
     @property
     def whole(self) -> str:
-        """The same, with what was done to them: `on run9, held out`."""
-        end = {"held out": ", held out", "left out in turn": " of the fit", "fitted": ""}
-        named = self.how != "held out" or 0 < len(self.on) <= MOST_NAMES
-        return self.words + end[self.how] * named
+        """The same, with what was done to them: `on run9, which was not fitted`."""
+        was = "was" if len(set(self.on)) == 1 else "were"
+        named = self.how == "held out" and 0 < len(self.on) <= MOST_NAMES
+        return self.words + f", which {was} not fitted" * named
 
 
 class Error(JudgedOn, frozen=True, kw_only=True):
@@ -113,6 +118,16 @@ class Window(Part, frozen=True):
     from_s: float
     to_s: float
 
+    @property
+    def words(self) -> str:
+        """`in run1 from 3.2 to 4.1 s`."""
+        return f"in {self.trajectory} from {self.from_s:.1f} to {self.to_s:.1f} s"
+
+    @property
+    def outside(self) -> str:
+        """The mask of all other samples of its log, in Python."""
+        return f"((log.t < {self.from_s:.1f}) | (log.t > {self.to_s:.1f}))"
+
 
 @dataclass(frozen=True)
 class Size:
@@ -133,7 +148,9 @@ class Size:
 
     @property
     def rounded(self) -> str:
-        """Its value with as many digits as its standard deviation leaves."""
+        """Its value with as many digits as its standard deviation leaves; none of no limit."""
+        if math.isinf(self.value):
+            return "none"
         return digits(float(measure(self.value, self.std, "").split()[0]), 6)
 
     @property
@@ -143,9 +160,23 @@ class Size:
 
     @property
     def words(self) -> str:
-        """`0.61 ± 0.02 N m`; of what the file has too `60 -> 15.0 ± 0.3 N m s/rad`."""
+        """`0.61 ± 0.02 N m`; of what the file has too `60 -> 15.0 ± 0.3 N m s/rad`; of a limit that
+        the arm has not `3.35 N m -> none`."""
         was = "" if self.was is None else f"{digits(self.was)} -> "
+        if math.isinf(self.value):
+            return f"{was.replace(' ->', f' {unit_behind(self.unit)} ->')}none"
         return was + measure(self.value, self.std, unit_behind(self.unit))
+
+    @property
+    def plain(self) -> bool:
+        """Whether it stands before what it is of: `4 N m`; no change, plain number or limit."""
+        return self.was is None and self.unit != "1" and math.isfinite(self.value)
+
+    @property
+    def sharp(self) -> "Size":
+        """As rounded, without its standard deviation."""
+        value = self.value if math.isinf(self.value) else float(self.rounded)
+        return replace(self, std=None, value=value)
 
     @property
     def named(self) -> str:
@@ -271,7 +302,14 @@ class Cause(Part, frozen=True, kw_only=True):
         if self.effect != LINK:
             return effect_words(self.effect)
         links = listed(str(k + 1) for k in self.at)
-        return f"inertia of link {links}" if self.at else "inertial parameters"
+        many = "s" if len(self.at) > 1 else ""
+        return f"inertia of link{many} {links}" if self.at else "inertial parameters"
+
+    @property
+    def glossed(self) -> str:
+        """Its name, and in brackets what it says where that is not plain."""
+        gloss = "" if self.branch else GLOSS.get(self.effect, "")
+        return f"{self.name} ({gloss})" if gloss else self.name
 
     def values(self, std: bool = True) -> str:
         """Its numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60 -> 15 N
@@ -282,11 +320,12 @@ class Cause(Part, frozen=True, kw_only=True):
             return self.law.words(std)
         massless = self.effect == "payload" and any(not s.determined for s in self.sizes[:1])
         end = "; mass not known" if massless else ""
+        end += "" if self.window is UNSET else f", {self.window.words}"
         sizes = self.known[: 1 if self.effect == "payload" else MOST_SIZES]
         if not sizes:
             return "" if math.isnan(self.share) else f"{percent(self.share)} of the error{end}"
         if not std:
-            sizes = (replace(sizes[0], std=None, value=float(sizes[0].rounded)),)
+            sizes = (sizes[0].sharp,)
         return ", ".join(map(self.in_words, sizes)) + end
 
     def in_words(self, size: Size) -> str:
@@ -306,12 +345,27 @@ class Cause(Part, frozen=True, kw_only=True):
         return "" if self.effect == LINK or not self.at else f"on {joints_words(self.at)}"
 
 
-def values_of(same: Sequence[Cause]) -> str:
-    """The main number of causes of one name, joint by joint: `Fv = 60 -> 15, 20, 12 N m s/rad`."""
+def values_of(same: Sequence[Cause], most: int | None = None) -> str:
+    """The main number of causes of one name, joint by joint: `Fv = 60 -> 15, 20, 12 N m s/rad`; of
+    more than `most` joints the least and the largest."""
     size = max(same, key=lambda c: c.share if c.share == c.share else 0.0).sizes[0]
     by_joint = sorted(same, key=lambda c: c.at)
     own = [next((s for s in c.sizes if s.name == size.name), None) for c in by_joint]
-    return f"{size.name} = {_side_by_side(own)} {unit_behind(size.unit)}".rstrip()
+    if most is not None and len(own) > most:
+        some = sorted((s for s in own if s is not None), key=lambda s: s.value)
+        text = _side_by_side([some[0], some[-1]]).replace(", ", " to ")
+    else:
+        text = _side_by_side(own)
+    return f"{size.name} = {text} {unit_behind(size.unit)}".rstrip()
+
+
+def law_sizes(laws: Sequence[FrictionLaw]) -> str:
+    """Friction at the middle speed: `0.41 N m at 0.54 rad/s`, of several joints `0.09 to 0.41 N
+    m`."""
+    if len(laws) == 1:
+        return laws[0].words(every=False)
+    sizes = [law.middle.size for law in laws if law.middle] or [math.nan]
+    return f"{span((min(sizes), max(sizes)), 2)} {unit_behind(laws[0].unit)}"
 
 
 def _side_by_side(sizes: Sequence[Size | None]) -> str:
@@ -333,6 +387,8 @@ def remedy_of(same: Sequence[Cause], short: bool = False) -> str:
         short: its first clause alone.
     """
     text = same[0].remedy
+    if any(math.isinf(s.value) for c in same for s in c.sizes):
+        return NO_LIMIT
     if short:
         text = re.split(r"[,;:(]", text, maxsplit=1)[0].strip().rstrip(".")
     for size in same[0].sizes:
@@ -346,6 +402,14 @@ def remedy_of(same: Sequence[Cause], short: bool = False) -> str:
         values = f"to {', '.join(s.rounded for s in own)} {unit_behind(size.unit)}"
         text = field.sub(values.rstrip(), text)
     return text
+
+
+def cut_line(same: Sequence[Cause]) -> str:
+    """What cuts events out of each log that has some: `of run1: log = log.select(..)`."""
+    each: dict[str, list[str]] = {}
+    for window in (c.window for c in same if c.window is not UNSET):
+        each.setdefault(window.trajectory, []).append(window.outside)
+    return "; ".join(f"of {k}: `log = log.select({' & '.join(x)})`" for k, x in each.items())
 
 
 def common_name(cause: Cause, others: Sequence[Cause]) -> str:

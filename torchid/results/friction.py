@@ -130,11 +130,21 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
         """Whether an effect of its joint is a part of it."""
         return any(effect in d.effects for d in self.details)
 
+    @property
+    def _known(self) -> list[FrictionAt]:
+        """Speeds that read differently, with a torque."""
+        some = {digits(x.speed, 2): x for x in reversed(self.at) if not math.isnan(x.size)}
+        return list(reversed(some.values()))
+
+    @property
+    def middle(self) -> FrictionAt | None:
+        """At the middle speed; None without any."""
+        return next(iter(self._known[len(self._known) // 2 :]), None)
+
     def words(self, every: bool = True) -> str:
         """`1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`, or at the middle speed alone; what the robot's
         file has before it: `0.8, 2, 3 -> 1.2, 1.9, 3.4 N m at ..`."""
-        known = [x for x in self.at if not math.isnan(x.size)]
-        known = known if every else known[len(known) // 2 :][:1]
+        known = self._known if every else [x for x in (self.middle,) if x is not None]
         if not known:
             return ""
         sizes = ", ".join(digits(x.size, 2) for x in known)

@@ -12,6 +12,18 @@ BRANCHES = {
 }
 """Branches of the tree of causes (`torchid.effects.base.Branch`)."""
 
+GLOSS = {
+    "cogging": "torque ripples over position",
+    "filter_lag": "dq is late",
+    "gear_coupling": "one motor turns two joints",
+    "load_hysteresis": "a friction loop that widens with load",
+    "presliding_hysteresis": "friction that builds up before the joint slides",
+    "set_point_profile": "the servo limits its own acceleration",
+    "stribeck_friction": "more friction at low speed",
+    "torque_crosstalk": "load on one joint shows on another's sensor",
+}
+"""What names say that are not everybody's."""
+
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
@@ -81,8 +93,11 @@ def unit_behind(unit: str) -> str:
 
 
 def span(ends: Iterable[float], most: int = 3, to: str = " to ") -> str:
-    """`0.1 to 0.2`; one number where both read the same; an end that is NaN is unknown."""
-    return to.join(dict.fromkeys(digits(x, most) if x == x else "unknown" for x in ends))
+    """`0.1 to 0.2`; one number where both read the same; `>= 0.1` where the upper end is NaN."""
+    low, high = ends
+    if high != high:
+        return f">= {digits(low, most)}" if low == low else "unknown"
+    return to.join(dict.fromkeys(digits(x, most) for x in (low, high)))
 
 
 def within(value: float, ends: tuple[float, float], unit: str) -> str:

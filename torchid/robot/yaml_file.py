@@ -6,6 +6,7 @@ number of joints, is checked below.
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
@@ -16,6 +17,7 @@ from msgspec import UNSET, UnsetType
 from torch import Tensor
 
 from torchid.errors import RobotError
+from torchid.files import UNCONFIRMED
 from torchid.robot.inertia import InertialParameters, parallel_axis
 from torchid.robot.knowledge import from_mapping as knowledge_of
 from torchid.robot.model import STANDARD_GRAVITY, Basis, JointType, Limits, Mimic, Robot, Tip
@@ -125,7 +127,9 @@ def read_yaml(path: Path) -> Robot:
     Raises:
         RobotError: not yaml, an unknown key, a wrong count, or a value that is not a number.
     """
-    return from_mapping(parsed_yaml(path), str(path))
+    robot = from_mapping(parsed_yaml(path), str(path))
+    first = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# warning: ")
+    return replace(robot, warnings=(first,)) if first.startswith(UNCONFIRMED) else robot
 
 
 def from_mapping(data: Any, source: str) -> Robot:

@@ -19,6 +19,9 @@ from torchid.typing import Float, Tensor
 STRUCTURE = 0.25
 """Predictable share of a joint's noise variance from which structure is worth saying [1]."""
 
+CHECK_FIRST = "Next time: check the log first"
+"""How the warning begins that a model explains nothing of most torques."""
+
 SAME_SPEED = 1.1
 """Ratio of two speeds along one path below which they are the same [1]."""
 
@@ -90,7 +93,7 @@ def warnings_of(found: Explanation, checked: Checked, cost: Float[Tensor, " n"])
     solution, settings, judged = found.solution, problem.settings, problem.judged
     alien = checked.alien.nonzero().flatten().tolist()
     said = (
-        "Next time: check the log first (`torchid log doctor ROBOT LOG`): the model explains "
+        f"{CHECK_FIRST} (`torchid log doctor ROBOT LOG`): the model explains "
         f"nothing of the torque of {joint_list(alien)}. Is it of this robot, its joints in this "
         "order, in these units?"
     )
