@@ -189,7 +189,7 @@ def rows_of(robot: Robot) -> LogRows | str | None:
     if not path.is_file():
         return (
             f"Caution: '{path}', the log that the model was made from, is not there: what has "
-            "changed since is told by the model's covariance alone. `before=...` gives the log."
+            "changed since is judged by the model's covariance alone. `before=...` gives the log."
         )
     add_input(path)
     return LogRows.read(path, named[1], robot)

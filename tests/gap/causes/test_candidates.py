@@ -35,7 +35,7 @@ def test_what_a_swing_shows_is_there_however_little_torque_it_has(
     of = search_of(replace(measured([], noise=2.0), swings={1: seen}), (JointElasticity.name,))
     (own,) = (t for t in of.library.terms if t.seen is not None)
     assert own.joints == (1,)
-    assert own.said > 100
+    assert own.extra > 100
     assert own.shown is shown
     found = of.explanation()
     assert (own.key in {t.key for t in found.fit.terms}) is shown

@@ -90,7 +90,7 @@ class Term:
             the robot's file.
         seen: what another sensor, or the torque above the fit's band, tells of the one coefficient:
             there the slab is centred, as wide as that is unsure.
-        said: what that adds to the evidence [nats].
+        extra: what that adds to the evidence [nats].
         shown: whether it shows as much as is worth a name.
         since: beside an earlier log, `in both` of what acts in that one as well and `new` of what
             does not; else empty.
@@ -110,7 +110,7 @@ class Term:
     shapes: int = 1
     change: np.ndarray | None = None
     seen: Compliance | Swing | None = None
-    said: float = 0.0
+    extra: float = 0.0
     shown: bool = False
     since: When | Literal[""] = ""
     serial: int = field(init=False, default_factory=itertools.count().__next__)
@@ -246,8 +246,8 @@ class Library:
         if seen is not None:
             # Beside what may be on any arm: the other sensor's likelihood, with the cause or none.
             settings, wide = self.problem.settings, float(std[0])
-            said = 0.5 * (max(seen.value, 0.0) / seen.std) ** 2 - math.log(1 + wide / seen.std)
-            fields["seen"], fields["said"], std = seen, said, np.array([seen.std])
+            extra = 0.5 * (max(seen.value, 0.0) / seen.std) ** 2 - math.log(1 + wide / seen.std)
+            fields["seen"], fields["extra"], std = seen, extra, np.array([seen.std])
             fields["shown"] = (
                 seen.size >= settings.worthwhile_torque and seen.explained >= settings.worthwhile
             )

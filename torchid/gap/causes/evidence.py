@@ -289,7 +289,7 @@ class Evidence:
             out += math.log(t.shapes * self.forms.get(t.cause, 1))
             # A file that is wrong throughout is less likely than one cause.
             out -= math.log(WRONG_FILE) if t.name == BASE else 0.0
-            out -= t.said
+            out -= t.extra
         return out
 
     def value(self, fit: Fit) -> float:

@@ -51,7 +51,7 @@ class Stack:
             own = (columns @ columns.transpose(0, 2, 1))[None]
         spread, low = np.stack([t.spread for t in terms]), np.stack([t.low for t in terms])
         forms = (t.shapes * evidence.forms.get(t.cause, 1) for t in terms)
-        paid = np.array([math.log(f) - t.said for f, t in zip(forms, terms, strict=True)])
+        paid = np.array([math.log(f) - t.extra for f, t in zip(forms, terms, strict=True)])
         return cls(place, tuple(terms), columns, own, spread, low, paid)
 
     def with_gap(self, gap: np.ndarray) -> np.ndarray:
