@@ -17,6 +17,7 @@ from torchid.gap.rows import (
     LogRows,
     kept,
     rows_of,
+    source_of,
     stretches,
     trajectories,
     write_with_rows,
@@ -111,3 +112,15 @@ def test_rows_of_other_joints_are_refused(tmp_path: Path) -> None:
     other = replace(ROBOT, joint_names=("a", "b", "c"))
     with pytest.raises(RobotError, match="other joints"):
         LogRows.read(path, sha256, other)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["monday"], "monday"),
+        (["run1[traj=0]", "run1[traj=1]"], "run1"),
+        (["a", "b"], "a and 1 more"),
+    ],
+)
+def test_a_log_is_called_by_its_files(names, said) -> None:
+    assert source_of(names) == said

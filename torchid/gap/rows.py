@@ -171,8 +171,8 @@ def trajectories(rows: LogRows) -> tuple[Segment, ...]:
 
 
 def source_of(names: Sequence[str]) -> str:
-    """A log by its trajectories: `monday`, `run1 and 2 more`."""
-    return listed(dict.fromkeys(names), most=1)
+    """A log by the files of its trajectories: `monday`, `run1 and 2 more`."""
+    return listed(dict.fromkeys(name.partition("[")[0] for name in names), most=1)
 
 
 def rows_of(robot: Robot) -> LogRows | str | None:
