@@ -10,7 +10,6 @@ from tests.gap.motions import ROBOT
 from tests.gap.problems import CUTOFF, measured
 from torchid.design.segments import Samples
 from torchid.errors import RobotError
-from torchid.gap.earlier import at_rate
 from torchid.gap.rows import (
     FINER,
     MOST,
@@ -22,6 +21,7 @@ from torchid.gap.rows import (
     trajectories,
     write_with_rows,
 )
+from torchid.gap.stacked import at_rate
 from torchid.identification.base_parameters import base_parameters
 from torchid.identification.knowledge import over_parameters
 from torchid.robot.library import load_robot

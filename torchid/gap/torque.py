@@ -34,12 +34,12 @@ from torchid.gap.describe.unseen import next_experiment, not_testable
 from torchid.gap.describe.verdict import status_of, warnings_of
 from torchid.gap.describe.where import where
 from torchid.gap.diagnosis import TorqueDiagnosis
-from torchid.gap.earlier import beside, earlier_of
 from torchid.gap.early import Watch, telling
 from torchid.gap.pose import pose
 from torchid.gap.record import Budget, Known
 from torchid.gap.rows import LogRows, kept
 from torchid.gap.settings import GapSettings
+from torchid.gap.stacked import beside, earlier_of
 from torchid.gap.told import told_bodies, valued
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log

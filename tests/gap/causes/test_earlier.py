@@ -17,9 +17,9 @@ from torchid.effects.registry import Valued
 from torchid.gap.causes.earlier import BOTH, NEW, TwoLogs
 from torchid.gap.causes.evidence import Evidence
 from torchid.gap.causes.explain import Explained, explain
-from torchid.gap.earlier import Earlier, at_rate, beside, earlier_of
 from torchid.gap.problem import Problem
 from torchid.gap.rows import kept
+from torchid.gap.stacked import Earlier, at_rate, beside, earlier_of
 from torchid.identification.knowledge import over_parameters
 
 VISCOUS, OFFSET = PLANTED["viscous_friction"], PLANTED["torque_offset"]
