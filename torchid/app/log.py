@@ -98,7 +98,7 @@ def show_command(
         checked = {
             "robot_name": found.name,
             "position_limits": found.limits.position,
-            "effort": None if found.limits.torque is None else found.limits.torque.abs().amax(-1),
+            "effort": found.limits.effort,
             "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
             "moving_base": found.floating,
         }

@@ -139,12 +139,16 @@ class Columns:
         """Number of joints."""
         return self.model.robot.n
 
+    @property
+    def gaps(self) -> list[Float[Tensor, "T n"]]:
+        """Measured torque minus the model's, at each segment's own rate [N m; N]."""
+        pairs = zip(self.samples.segments, self.motions, strict=True)
+        return [s.tau - self.model.torque(s, self.samples, m.torque) for s, m in pairs]
+
     @cached_property
     def gap(self) -> Float[Tensor, "n N"]:
         """Samples of the measured torque minus the model's."""
-        pairs = zip(self.samples.segments, self.motions, strict=True)
-        parts = (s.tau - self.model.torque(s, self.samples, m.torque) for s, m in pairs)
-        return self.samples.of([x.T for x in parts])
+        return self.samples.of([x.T for x in self.gaps])
 
     def of(self, effect: Effect) -> tuple[Place, Float[Tensor, "..."]]:
         """Columns of an effect: (C, N) of its joint, or (C, n, N) of all joints."""

@@ -116,11 +116,19 @@ def _explained(judge: Judge, result: Search, live: Sequence[int]) -> Check:
     verdict = "fine" if result.explained else "doubtful"
     text = f"{text} of the torque's spread, on time held out"
     odd = [k for k, x in zip(live, left, strict=True) if x > UNEXPLAINED]
-    others = other_moments(judge, result.final.hypothesis, odd)
-    for axis in sorted(set(others.values())):
-        of = joint_list([k for k, name in others.items() if name == axis])
-        text += f"; the torque of {of} is the moment about {axis} of the link's frame, not the axis"
+    for joints, moment in moments_of(judge, result, odd):
+        text += f"; the torque of {joint_list(joints)} is {moment}"
     return said("torque explained", verdict, joints=live, estimate=tuple(left.tolist()), text=text)
+
+
+def moments_of(judge: Judge, result: Search, joints: Sequence[int]) -> list[tuple[list[int], str]]:
+    """Of which of these joints the torque is another component of what the joint passes on, and
+    which one, in words."""
+    found: dict[str, list[int]] = {}
+    for k, axis in other_moments(judge, result.final.hypothesis, joints).items():
+        found.setdefault(axis, []).append(k)
+    words = "the moment about {} of the link's frame, not the axis"
+    return [(found[axis], words.format(axis)) for axis in sorted(found)]
 
 
 def _taken_unit(before: Sequence[Check]) -> dict[int, float]:

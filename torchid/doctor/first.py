@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from torchid.doctor.check import TEXTS, Check
 from torchid.doctor.examine import FILE, LEAST_SAMPLES, Examination, examine
+from torchid.doctor.faults import moments_of
 from torchid.doctor.kind import holds_no_gravity
 from torchid.errors import LogError
 from torchid.log.model import Log
@@ -104,13 +105,13 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
 
 def _foreign(found: Examination) -> str:
     """That torques follow no model of this robot, as the examination has decided it."""
-    if found.search is None or found.search.explained:
+    if found.search is None or found.judge is None or found.search.explained:
         return ""
-    where = joint_list([j for j, x in enumerate(found.search.left) if x > UNEXPLAINED])
-    said = "; ".join(c.evidence for c in found.checks if c.name == "torque explained")
-    _, known, it_is = said.rpartition(f"the torque of {where} is")
-    more = f": it is{it_is}" if known else ""
-    return f"The torque of {where} follows no model of this robot{more}."
+    odd = [j for j, x in enumerate(found.search.left) if x > UNEXPLAINED]
+    live = found.judge.live(found.search.final.hypothesis)
+    known = moments_of(found.judge, found.search, [j for j in odd if j in live])
+    more = "".join(f": it is {moment}" for joints, moment in known if joints == odd)
+    return f"The torque of {joint_list(odd)} follows no model of this robot{more}."
 
 
 def _in_short(check: Check) -> str:

@@ -60,8 +60,7 @@ def check_silent_runs(case: Case) -> Sequence[Check]:
 
 def check_channels(case: Case) -> Sequence[Check]:
     """Torque and current that look wrong by themselves."""
-    limits = case.robot.limits.torque
-    odd = odd_channels(case.log, None if limits is None else limits.abs().amax(-1))
+    odd = odd_channels(case.log, case.robot.limits.effort)
     joints = sorted({k for o in odd for k in o.joints})
     text = "; ".join(map(str, odd))
     return [said("channels", "doubtful", joints=joints, text=text)] if odd else ()

@@ -32,7 +32,7 @@ from torchid.design.segments import (
 from torchid.design.signal import DRIVE_GAIN, SENSOR_GAIN, from_current, without_signal
 from torchid.effects.phase import JointElasticity
 from torchid.errors import LogError
-from torchid.gap.rows import STRETCH
+from torchid.gap.rows import STRETCH, spread_out
 from torchid.gap.settings import GapSettings
 from torchid.identification.logs import prepared, refuse_repeated
 from torchid.log.model import Log
@@ -175,8 +175,7 @@ def spread_over(log: Log, seconds: float) -> tuple[Log, tuple[str, ...]]:
         ends = [rows.start + (rows.stop - rows.start) * k // count for k in range(count + 1)]
         names = [name] if count == 1 else [f"{name} part {k + 1}" for k in range(count)]
         stretches += [(n, slice(a, b)) for n, (a, b) in zip(names, pairwise(ends), strict=True)]
-    count = max(1, int(len(stretches) * seconds / total))
-    chosen = [stretches[int((k + 0.5) * len(stretches) / count)] for k in range(count)]
+    chosen = spread_out(stretches, seconds, total)
     parts = [log.select(rows).replace(names=(name,), warnings=()) for name, rows in chosen]
     kept = Log.concatenate(parts).replace(source=log.source, warnings=log.warnings)
     return kept, (

@@ -33,11 +33,10 @@ from torchid.gap.record import (
 )
 from torchid.gap.rows import LogRows, write_with_rows
 from torchid.gap.settings import GapSettings
-from torchid.gap.told import LEFT_OUT
 from torchid.notebooks import data_frame
 from torchid.results.agreement import RunValue
 from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
-from torchid.results.cause import LINK, Cause, Error, JudgedOn
+from torchid.results.cause import LEFT_OUT, LINK, Cause, Error, JudgedOn
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
 from torchid.results.replication import agreement_of

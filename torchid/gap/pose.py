@@ -42,9 +42,7 @@ def pose(
     if robot.parameters is None:
         given = given.at(refitted(given, data, wanted).model)
     # Where repeats tell the noise, only samples of sliding joints can be held against it.
-    left = [s.tau - given.model.torque(s, data.samples, m.torque)
-            for s, m in zip(data.segments, given.motions, strict=True)]  # fmt: skip
-    apart = tuple(repeats.segments(data.segments, left))
+    apart = tuple(repeats.segments(data.segments, given.gaps))
     data = replace(data, keep=sliding_only(given, data.keep, data.band, apart))
     elastic = JointElasticity.name
     if elastic in wanted.names and wanted.asks(elastic, range(robot.n)):

@@ -56,10 +56,10 @@ class Problem:
     def judged_on(self) -> JudgedOn:
         """The data that judge: logs that were held out, or each log in its turn."""
         held_out = self.judged is not None
-        names = dict.fromkeys(s.name for s in (self.judged or self.data).segments)
+        names = [s.name for s in (self.judged or self.data).segments]
         if held_out and self.settings.held_out_fraction > 0:
-            names = dict.fromkeys(f"the end of {name}" for name in names)
-        return JudgedOn(on=tuple(names), how="held out" if held_out else "left out in turn")
+            names = [f"the end of {name}" for name in names]
+        return JudgedOn.by_names(names, "held out" if held_out else "left out in turn")
 
     @cached_property
     def draws(self) -> Draws:

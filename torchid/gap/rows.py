@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -26,11 +26,13 @@ from torchid.results.words import listed
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 
+T = TypeVar("T")
+
 STRETCH = 30.0
 """Length of what is taken of a longer log at a time [s]: a whole trajectory, or a part of one."""
 
 MOST = 20_000
-"""LogRows of a file at most."""
+"""Rows of a file at most."""
 
 FINER = 2
 """Rate of the rows over that of the fit's samples [1]."""
@@ -209,7 +211,7 @@ def write_with_rows(robot: Robot, rows: LogRows | None, path: Path) -> None:
 
 
 def stretches(lengths: list[int], longest: int) -> list[tuple[int, slice]]:
-    """LogRows of trajectories that are kept, with the number of each one's trajectory: all, or
+    """Rows of trajectories that are kept, with the number of each one's trajectory: all, or
     stretches that are evenly spread.
 
     Args:
@@ -224,5 +226,10 @@ def stretches(lengths: list[int], longest: int) -> list[tuple[int, slice]]:
         out += [(k, slice(a, b)) for a, b in pairwise(ends)]
     if every:
         return out
-    count = max(1, int(len(out) * MOST / sum(lengths)))
-    return [out[int((i + 0.5) * len(out) / count)] for i in range(count)]
+    return spread_out(out, MOST, sum(lengths))
+
+
+def spread_out(some: Sequence[T], kept: float, total: float) -> list[T]:
+    """As many of some as `kept` is of `total`, one at least, evenly spread over all of them."""
+    count = max(1, int(len(some) * kept / total))
+    return [some[int((k + 0.5) * len(some) / count)] for k in range(count)]

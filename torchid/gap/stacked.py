@@ -50,9 +50,7 @@ def beside(problem: Problem, earlier: Earlier) -> Problem:
     first = len(before)
     later = (replace(p, a=p.a + first, b=p.b + first) for p in problem.repeats.pairs)
     repeats = Repeats((*find_repeats(segments[:first]).pairs, *later))
-    left = [s.tau - given.model.torque(s, samples, m.torque)
-            for s, m in zip(segments, given.motions, strict=True)]  # fmt: skip
-    apart = tuple(repeats.segments(segments, left))
+    apart = tuple(repeats.segments(segments, given.gaps))
     keep = sliding_only(given, keep, data.band, apart)
     missing = data.missing
     missing |= {"velocity"} if not all(s.own_velocity for s in segments) else set()

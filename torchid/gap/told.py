@@ -9,13 +9,11 @@ from torchid.effects.base import Coefficient, Effect
 from torchid.effects.names import PLACES
 from torchid.effects.registry import Valued, effect_from_record, effect_kind
 from torchid.json_data import plain
-from torchid.results.cause import LINK, Cause, JudgedOn
+from torchid.results.cause import LINK, Cause
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
 from torchid.statistics.criteria import SET_MASS
 
-LEFT_OUT = JudgedOn(how="left out in turn")
-"""Data of logs each of which, or each stretch of which, was left out of the fit that it judges."""
 INERTIA_MEANING = "The link's mass, centre of mass or inertia differs from the model's."
 INERTIA_REMEDY = (
     "Replace the link's inertial parameters, or all of them by those `torchid identify` finds."

@@ -42,8 +42,8 @@ def prepared(
         raise no_torque(even)
     # Torques far beyond the robot's limits: the wrong unit, or the wrong robot.
     beyond = []
-    if robot.limits.torque is not None:
-        limits, largest = robot.limits.torque.abs().amax(-1).tolist(), even.tau.abs().amax(0)
+    if (effort := robot.limits.effort) is not None:
+        limits, largest = effort.tolist(), even.tau.abs().amax(0)
         beyond = [
             f"{even.source}: torque of joint {j} reaches {reached:.3g}, {reached / limit:.0f} "
             "times its limit: is it in another unit?"

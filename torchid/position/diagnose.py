@@ -100,7 +100,7 @@ def diagnose_positions(
         before, after = (
             accuracy(arm, held_out, ~problem.data.still) for arm in (given, result.corrected)
         )
-        judged = JudgedOn(on=tuple(dict.fromkeys(held_out.names)), how="held out")
+        judged = JudgedOn.by_names(held_out.names, "held out")
         result = replace(result, held_out=(before, after), judged=judged)
     seconds = time.perf_counter() - begun
     return replace(result, warnings=problem.warnings + odd, seconds=seconds)
@@ -170,7 +170,7 @@ def _described(answered: Answered, known: Equations, problem: Problem) -> Positi
         answered=checked.answered,
         file=checked.file,
         regimes=errors_of_regimes(data, *checked.errors),
-        judged=JudgedOn(on=tuple(dict.fromkeys(data.log.names)), how="left out in turn"),
+        judged=JudgedOn.by_names(data.log.names, "left out in turn"),
         motions=(data.log.names, errors_of_motions(data, checked.errors[1])),
         errors=checked.errors,
         still=still,

@@ -35,16 +35,13 @@ from torchid.position.record import (
 from torchid.position.repeats import PositionNoise
 from torchid.results.agreement import RunValue
 from torchid.results.answer import UNCHANGED, Answer, Diagnosis, JointError, NotTestable
-from torchid.results.cause import Cause, JudgedOn
+from torchid.results.cause import LEFT_OUT, Cause, JudgedOn
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
 from torchid.robot.model import error_unit
 from torchid.simulation.servo import INDEX, PARAMETERS, Servos
 from torchid.statistics.criteria import CLEAR_EXCESS, LIKELY, MOSTLY_EXPLAINED, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
-
-LEFT_OUT = JudgedOn(how="left out in turn")
-"""Motions each of which was left out of the fit that it judges."""
 
 
 class Number(NamedTuple):
@@ -224,7 +221,7 @@ class PositionDiagnosis(Diagnosis):
         low_noise, high_noise = noise[moves].mean(0).nan_to_num(0.0).tolist()
         every = sorted((f.cause for f in self.findings), key=lambda c: -c.share)
         first, last = (self.judged.error(way.whole_mrad, unit) for way in self._far)
-        others = JudgedOn(on=tuple(dict.fromkeys(self.motions[0])), how="left out in turn")
+        others = JudgedOn.by_names(self.motions[0], "left out in turn")
         left_out = others.error(self.answered.whole_mrad, unit) if self.held_out else None
         low, high = (float(x) for x in unseen[moves].aminmax()) if bool(moves.any()) else (0.0, 0.0)
         small = f"What moves a joint by less than {low:.1f} to {high:.1f} {unit} could not be seen."

@@ -27,6 +27,7 @@ from torchid.results.words import (
     span,
     unit_behind,
 )
+from torchid.statistics.criteria import LIKELY
 
 LINK = "link_inertia"
 """Of inertial parameters."""
@@ -73,6 +74,11 @@ class JudgedOn(Part, frozen=True, kw_only=True):
     on: tuple[str, ...] = ()
     how: How
 
+    @classmethod
+    def by_names(cls, names: Iterable[str], how: How) -> "JudgedOn":
+        """Of trajectories' logs, each once."""
+        return JudgedOn(on=tuple(dict.fromkeys(names)), how=how)
+
     def error(self, value: float, unit: str) -> "Error":
         """An error on them."""
         return Error(value=value, unit=unit, on=self.on, how=self.how)
@@ -92,6 +98,10 @@ class JudgedOn(Part, frozen=True, kw_only=True):
         was = "was" if len(set(self.on)) == 1 else "were"
         named = self.how == "held out" and 0 < len(self.on) <= MOST_NAMES
         return self.words + f", which {was} not fitted" * named
+
+
+LEFT_OUT = JudgedOn(how="left out in turn")
+"""Data each part of which was left out of the fit that it judges."""
 
 
 class Error(JudgedOn, frozen=True, kw_only=True):
@@ -275,7 +285,7 @@ class Cause(Part, frozen=True, kw_only=True):
     @property
     def one_of_a_set(self) -> bool:
         """Whether it is the likeliest of a set none of which is likely by itself."""
-        return self.probabilities.get(self.effect, 1.0) < 0.5
+        return self.probabilities.get(self.effect, 1.0) < LIKELY
 
     @property
     def sizes(self) -> tuple[Size, ...]:

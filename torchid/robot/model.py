@@ -111,6 +111,11 @@ class Limits:
         for name in LIMITS:
             _make_tensor(self, name, f"limits of {name}")
 
+    @property
+    def effort(self) -> Float[Tensor, " n"] | None:
+        """Largest torque (n,) either way [N m or N]; None where nothing is known."""
+        return None if self.torque is None else self.torque.abs().amax(-1)
+
     def require(self, *names: str, robot: str, purpose: str) -> None:
         """Raise RobotError unless all the named limits are known and finite."""
         lacking, hints = {}, []

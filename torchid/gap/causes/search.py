@@ -135,7 +135,7 @@ class Search:
             for load in (t for t in loads if same_columns(t, term) and t is not term):
                 terms = (*fit.terms[:k], load, *fit.terms[k + 1 :])
                 other = self.evidence.fit(terms, fit.samples)
-                base = self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
+                base = self.without(fit, term)
                 if other.allowed and self.alike(other, fit, base, ONE_BODY):
                     fit = other
         return fit
@@ -205,7 +205,7 @@ class Search:
     def shrink(self, fit: Fit) -> Fit:
         """Terms leave that the evidence does not need."""
         while fit.terms:
-            tried = [self.evidence.fit(excluding(fit.terms, [t]), fit.samples) for t in fit.terms]
+            tried = [self.without(fit, t) for t in fit.terms]
             step = self._better(tried, fit, 0.0)
             if step is None:
                 return fit
@@ -233,19 +233,18 @@ class Search:
     def _exchanged(self, fit: Fit) -> list[Fit]:
         """Fits with one term for another: the likeliest with the samples at hand, and none that
         makes the same torque with as many coefficients."""
-        every = list[tuple[Fit, Fit, bool]]()
+        every = list[tuple[float, Fit, Fit, bool]]()
         for t in fit.terms:
-            rest = excluding(fit.terms, [t])
-            base = self.evidence.fit(rest, fit.samples)
+            base = self.without(fit, t)
             for other in (u for u in self.likely(base) if u is not t):
-                then = self.evidence.fit((*rest, other), fit.samples)
-                every.append((then, base, other.count >= t.count))
-        values = sorted((self.evidence.value(then) for then, _, _ in every), reverse=True)
+                then = self.evidence.fit((*base.terms, other), fit.samples)
+                every.append((self.evidence.value(then), then, base, other.count >= t.count))
+        values = sorted((value for value, *_ in every), reverse=True)
         least = values[EXCHANGED - 1] if len(values) > EXCHANGED else -np.inf
         return [
             then
-            for then, base, simple in every
-            if self.evidence.value(then) >= least and not (simple and self.alike(then, fit, base))
+            for value, then, base, simple in every
+            if value >= least and not (simple and self.alike(then, fit, base))
         ]
 
     def refine(self, fit: Fit, which: Sequence[int] | None = None) -> Fit:
@@ -373,7 +372,7 @@ class Search:
                 break
             k = int(np.argmin(worth))
             small.append(fit.terms[k])
-            fit = self.again(self.evidence.fit(excluding(fit.terms, [fit.terms[k]]), fit.samples))
+            fit = self.again(self.without(fit, fit.terms[k]))
         return Found(fit, tuple(small))
 
     def _share(self, fit: Fit, term: Term) -> float:
@@ -381,7 +380,7 @@ class Search:
         travel; else all of them."""
         if not term.rare:
             return 1.0
-        rest = self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
+        rest = self.without(fit, term)
         return float(self.acting(fit, rest).mean())
 
     def _displaced(self, fit: Fit, term: Term) -> float:
@@ -390,7 +389,7 @@ class Search:
         evidence, library = self.evidence, self.library
         if not evidence.nuisance:
             return 0.0
-        rest = evidence.fit(excluding(fit.terms, [term]), fit.samples)
+        rest = self.without(fit, term)
         if rest.known - fit.known <= evidence.price([term]):
             return 0.0
         own = evidence.nuisance[0]

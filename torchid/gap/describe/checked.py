@@ -98,26 +98,30 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
         found, told = found.dropped(), []
         checked = check(found)
     if found.problem.judged is not None:
-        in_turn = check(found, held_out=False).far.rms_after
-        names = tuple(dict.fromkeys(s.name for s in found.problem.data.segments))
-        judged = JudgedOn(on=names, how="left out in turn")
+        _, in_turn = levels(in_turn_shown(found, checked.noise))
+        names = [s.name for s in found.problem.data.segments]
+        judged = JudgedOn.by_names(names, "left out in turn")
         left_out = judged.error(float(in_turn.norm()), torque_unit(found.problem.robot))
         checked = replace(checked, far=replace(checked.far, left_out=left_out))
     return Decision(found, checked, tuple(told), dropped, least, taken_back)
 
 
-def check(found: Explanation, held_out: bool = True) -> Checked:
-    """Models fitted without each fold, or on all data where a log was held out, and what they do.
+def in_turn_shown(found: Explanation, noise: Noise) -> list[Trace]:
+    """The log that was searched by models that were fitted without each fold."""
+    problem, folds = found.problem, found.problem.folds
+    after = [found.solution.without(folds.fitted(k)) for k in range(folds.count)]
+    start, band = [found.solution.start], problem.data.band
+    return traces(problem.data.samples, folds, start, after, band, reach=noise.reach)
 
-    Args:
-        found: the explanation.
-        held_out: whether a log that is held out is what they are shown on.
-    """
+
+def check(found: Explanation) -> Checked:
+    """Models fitted without each fold, or on all data where a log was held out, and what they
+    do."""
     problem, solution = found.problem, found.solution
     data, folds, seed, band = problem.data, problem.folds, problem.settings.seed, problem.data.band
     base = refitted(problem.given, data, problem.wanted)
     noise = noise_of(problem, solution, found.least)
-    if problem.judged is None or not held_out:
+    if problem.judged is None:
         # Each fold is shown by models that were fitted on the others.
         samples, parts = data.samples, folds
         fits = [folds.fitted(k) for k in range(folds.count)]

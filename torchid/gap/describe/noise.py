@@ -51,8 +51,7 @@ class Noise:
             the model leaves, where that is significant; else 0.
         unpredicted: (n,) RMS of what it leaves, in the band of the report [N m; N].
         reach: (n,) how near to a reversal nothing counts for how far the gap closes [s]: what a
-        joint
-            did while it may have stuck would be a gap of its own.
+            joint did while it may have stuck would be a gap of its own.
         uneven: (n,) joints whose noise is not the same everywhere.
     """
 
@@ -94,8 +93,7 @@ def noise_of(problem: Problem, solution: Solution, least: Float[Tensor, " n"]) -
     data, columns, left = problem.data, solution.columns, solution.left
     keep, band, samples = data.keep, data.band, columns.samples
     segments, report = samples.segments, Samples(samples.segments, band)
-    pairs = zip(segments, columns.motions, strict=True)
-    residual = [s.tau - columns.model.torque(s, samples, m.torque) for s, m in pairs]
+    residual = columns.gaps
     floor = floor_of(problem.repeats.segments(segments, residual), band)
     if floor is not None:
         # A correction that is another at each repeat must not pass for noise of the log.
