@@ -3,12 +3,9 @@
 Where no explanation is quite true, the evidence of one log is sure of whichever is least wrong on
 it, and of another log of the same arm it would be sure of another. So blocks of samples, several
 correlation times long, are drawn again with replacement, half as many as there are, and a
-probability is its mean over the draws (BayesBag, Huggins and Miller 2023, Bayesian Analysis 18(4)),
-and over powers of the evidence, for what no explanation holds is no independent noise (Grünwald
-and van Ommen 2017).
+probability is its mean over the draws (BayesBag, Huggins and Miller 2023, Bayesian Analysis 18(4)).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -20,11 +17,6 @@ DRAWS, DRAWN_SHARE = 40, 0.5
 """Logs that are drawn from the blocks of one, and how many blocks each has of those that there are
 [1]: half, as Huggins and Miller advise."""
 
-POWERS = (1.0, 0.5, 0.25)
-"""Of the evidence, over which a probability is averaged [1]: as many samples as one thinks, or a
-quarter of them. Prices at full weight beside a quarter of the likelihood would take the
-names of most effects that are twice as large as what a real arm leaves."""
-
 
 @dataclass(frozen=True, eq=False)
 class Draws:
@@ -33,12 +25,10 @@ class Draws:
     Attributes:
         block: (N,) number of each sample's block, from 0.
         times: (M, B) how often each block was drawn.
-        powers: of the evidence, over which is averaged.
     """
 
     block: Int[Tensor, " N"]
     times: Float[Tensor, "M B"]
-    powers: tuple[float, ...] = POWERS
 
     @classmethod
     def of(cls, block: Int[Tensor, " N"], seed: int = 0) -> "Draws":
@@ -52,32 +42,8 @@ class Draws:
     @property
     def as_it_is(self) -> "Draws":
         """The log itself, for what happened in one block of it: of others nothing can be asked."""
-        return Draws(self.block, torch.ones(1, self.times.shape[1], dtype=torch.float64), (1.0,))
+        return Draws(self.block, torch.ones(1, self.times.shape[1], dtype=torch.float64))
 
     def sums(self, x: Float[Tensor, "n N"]) -> Float[Tensor, "M n"]:
         """Sums over each draw."""
         return self.times @ block_sums(x, self.block).T
-
-
-Alternative = tuple[Float[Tensor, " M"] | None, float]
-"""What may be there instead: twice the logarithm of its likelihood over the explanation's, on every
-draw, None where nothing is asked of the data; and twice the logarithm of its odds beforehand."""
-
-
-def bagged(every: Sequence[Alternative], draws: Draws) -> list[float]:
-    """Probabilities of an explanation and of what may be there in its place; they add up to one.
-
-    What is likelier on a draw stays so at every power, which evidence has whole: likelihood and
-    what explanations cost.
-
-    Args:
-        every: one or more alternatives.
-        draws: with the powers.
-
-    Returns:
-        the explanation's, and that of each alternative.
-    """
-    powers = torch.tensor(draws.powers, dtype=torch.float64).unsqueeze(1)
-    none = torch.zeros(len(draws.powers), len(draws.times), dtype=torch.float64)
-    rises = [0.5 * (none + b if a is None else powers * (a + b)) for a, b in every]
-    return torch.stack([none, *rises]).softmax(0).mean((1, 2)).tolist()

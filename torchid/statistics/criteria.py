@@ -21,11 +21,6 @@ WORTHWHILE = 0.05
 WORTHWHILE_TORQUE = 0.01
 """The same as a share of the joint's torque [1]."""
 
-LAW_STD, PROXY_STD = 0.1, 0.5
-"""Standard deviation between regimes of the factor by which a law is wanted, and of what stands in
-for something else [1]: friction of real arms varies by .05 to .15, causes that are not there by
-.3 to .6."""
-
 DOUBT = 16 / 9
 """Odds against a cause, over the share of the squares that has no cause [1]: with a quarter of the
 RMS left a cause is 90 % sure at most, with half of it 69 %."""
@@ -77,9 +72,6 @@ TORQUE_MISFIT = 1 / 3
 UNSURE_SCALE = 0.2
 """Standard deviation of the scale of a joint's torques from which ratios alone are told [1]: a gain
 to within half of it to either side is none to simulate with."""
-
-ONE_TYPE = 0.5
-"""Probability that the servos of an arm are of one type, where nobody says so [1]."""
 
 SHEET_STD, UNIT_STD = 0.2, 0.05
 """Standard deviation of a maker's value, as a share of it, and the least between units of one type

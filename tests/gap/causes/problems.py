@@ -24,11 +24,13 @@ PLANTED: dict[str, tuple[Effect, list[float]]] = {
     "torque_gain": (TorqueGain(1), [0.1]),
 }
 
+SEVERAL = {"dry_and_viscous": [(ViscousFriction(1), [0.4]), (CoulombFriction(1), [0.02])]}
+
 
 @cache
 def problem(name: str | None, hz: float | None = None, names: tuple[str, ...] = NAMES) -> Problem:
     """The gap of the 3R with an effect, or without any; noise is white, or below `hz`."""
-    effects = [] if name is None else [PLANTED[name]]
+    effects = [] if name is None else SEVERAL[name] if name in SEVERAL else [PLANTED[name]]
     return problem_of(measured(effects, hz=hz), wanted_of(names))
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -15,7 +16,7 @@ from torchid.design.segments import Segment
 from torchid.effects.friction import CoulombFriction
 from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library
-from torchid.gap.causes.events import pushes
+from torchid.gap.causes.events import _chance, pushes
 from torchid.gap.causes.search import Search
 from torchid.gap.data import Data
 from torchid.robot.library import load_robot
@@ -137,3 +138,18 @@ def test_windows_lie_within_their_run(quiet):
     t = of.library.samples.t
     for first, last in of.library.windows.spans:
         assert any(a <= t[first] < t[last - 1] <= b for a, b in ends)
+
+
+def test_a_force_that_is_there_again_is_of_no_usual_size():
+    spans = np.arange(0, 4000, 10)[:, None] + [0, 10]
+    push = (2000, 2010)
+    gains = np.where(spans[:, 0] % 3 == 0, 1.0, -np.inf)
+    gains[200] = 12.0
+    with np.errstate(all="raise"):
+        chances = [
+            _chance(np.maximum(gains, low), spans, push, [push], 1.0) for low in (-np.inf, 0)
+        ]
+        # All are there again but the push.
+        gains = np.where(np.arange(400) == 200, 12.0, -np.inf)
+        assert _chance(gains, spans, push, [push], 1.0) < 1e-3
+    assert chances[0] == chances[1] < 1e-3

@@ -2,11 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.gap.causes.problems import candidate, search
-from torchid.gap.causes.evidence import solved
 
 
 def test_a_fit_leaves_the_gap_less_its_terms() -> None:
@@ -24,28 +21,6 @@ def test_terms_that_are_appended_have_the_normal_equations_of_all() -> None:
     terms = [candidate(of, n, j) for n, j in (("viscous_friction", 1), ("joint_spring", 0))]
     full = np.concatenate([of.evidence.columns(terms), of.library.gap[:, None]], 1)
     np.testing.assert_allclose(of.evidence.normal(terms), full @ full.transpose(0, 2, 1), atol=1e-9)
-
-
-@settings(deadline=None)  # a busy machine solves slowly
-@given(seed=st.integers(0, 1000), count=st.integers(1, 6))
-def test_coefficients_are_those_of_the_posterior(seed: int, count: int) -> None:
-    """Of known noise: the ridge solution, and what a slab costs, written out."""
-    rng = np.random.default_rng(seed)
-    x, y = rng.normal(size=(count, 40)), rng.normal(size=40)
-    spread = np.tril(rng.normal(size=(count, count))) + 2 * np.eye(count)
-    full = np.concatenate([x, y[None]])
-    g = (full @ full.T)[None]
-    samples, floor = np.array([40.0]), np.array([1e9])  # the floor is the noise: it stays
-    found, losses, half = solved(g, spread, samples, floor)
-    weight, precision = 40 / 1e9, np.linalg.inv(spread @ spread.T)
-    normal = weight * x @ x.T
-    right = np.linalg.solve(normal + precision, weight * x @ y)
-    np.testing.assert_allclose(found, right, rtol=1e-6, atol=1e-12)
-    determinant = np.linalg.slogdet(np.eye(count) + spread.T @ normal @ spread)[1]
-    assert half == pytest.approx(
-        0.5 * (right @ precision @ right + determinant), rel=1e-6, abs=1e-9
-    )
-    assert losses == floor
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])

@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.gap.causes.problems import candidate, problem, search
+from tests.gap.causes.problems import NAMES, candidate, problem, search
+from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.judge import judge, probabilities
+from torchid.gap.causes.search import Search
 from torchid.statistics.bagging import Draws
 
 NOTHING_LEFT = np.zeros(4)
@@ -40,7 +42,7 @@ def test_half_of_the_samples_have_half_of_the_price() -> None:
     odds = []
     for times in (1.0, 0.5):
         count = int(block.max()) + 1
-        draws = Draws(block, torch.full((1, count), times, dtype=torch.float64), (1.0,))
+        draws = Draws(block, torch.full((1, count), times, dtype=torch.float64))
         sure, nothing = probabilities(of, fit, [of.empty()], draws)
         odds.append(np.log(sure / nothing))
     assert odds[1] == pytest.approx(odds[0] / 2, rel=1e-6)
@@ -60,3 +62,26 @@ def test_what_another_joint_leaves_bounds_a_cause_of_one_joint_as_the_arm_s_alon
     fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
     (one,) = judge(of, fit, np.array([1.0, 0.0, 0.0, 0.0]), problem("viscous_friction").draws)
     assert one.sure > 0.95
+
+
+def test_two_forms_of_a_law_together_are_a_rival_of_another_form() -> None:
+    """Dry and viscous friction were planted, and a power of the speed stands for them."""
+    asked = problem("dry_and_viscous", names=(*NAMES, "power_law_friction"))
+    of = Search(Library(asked))
+    power = max(
+        (t for t in of.library.terms if (t.name, t.joints) == ("power_law_friction", (1,))),
+        key=lambda t: of.evidence.value(of.evidence.fit((t,), of.library.rows)),
+    )
+    fit = of.again(of.evidence.fit((power,), of.library.rows))
+    (one,) = judge(of, fit, NOTHING_LEFT, asked.draws)
+    members = [{t.name for t in terms} for terms, _ in one.members]
+    assert {"viscous_friction", "coulomb_friction"} in members
+    assert one.law > one.sure
+
+
+def test_the_two_forms_that_are_there_are_sure() -> None:
+    of = search("dry_and_viscous")
+    pair = tuple(candidate(of, name, 1) for name in ("viscous_friction", "coulomb_friction"))
+    fit = of.again(of.evidence.fit(pair, of.library.rows))
+    for one in judge(of, fit, NOTHING_LEFT, problem("dry_and_viscous").draws):
+        assert one.sure > 0.9

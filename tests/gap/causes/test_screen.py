@@ -1,8 +1,11 @@
+from collections import Counter
+
 import numpy as np
 import pytest
 
 from tests.gap.causes.problems import search
 from torchid.gap.causes.candidates import Term
+from torchid.gap.causes.screen import OF_A_PLACE
 from torchid.gap.causes.search import Search
 
 
@@ -46,3 +49,17 @@ def test_the_planted_effect_promises_most() -> None:
     of = search("viscous_friction")
     (_, first), *_ = of.screen.best(of.empty(), of.library.rows, 3)
     assert (first.name, first.joints) == ("viscous_friction", (1,))
+
+
+@pytest.mark.parametrize("count", [6, 1000])
+def test_one_joint_leaves_room_for_the_others(count: int) -> None:
+    """And takes what is left."""
+    of = search("viscous_friction")
+    every = [t for _, t in of.screen.ranked(of.empty(), of.library.rows)]
+    some = [t for _, t in of.screen.best(of.empty(), of.library.rows, count)]
+    place = Counter(t.place if t.place is not None else t.name for t in some)
+    assert max(Counter(t.place for t in every[:count]).values()) > OF_A_PLACE
+    if count == 6:
+        assert max(place.values()) <= OF_A_PLACE
+    assert len(some) == min(count, len(every))
+    assert {t.serial for t in some} <= {t.serial for t in every}

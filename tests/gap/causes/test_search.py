@@ -9,8 +9,10 @@ from tests.gap.problems import data_of, measured, problem_of, wanted_of
 from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.explain import explain, with_bodies
+from torchid.gap.causes.explain import AGAIN, explain, with_bodies
 from torchid.gap.causes.search import Search
+from torchid.gap.torque import STAGES
+from torchid.parallel.pace import Pace
 
 
 @pytest.mark.parametrize("name", PLANTED)
@@ -91,6 +93,21 @@ def test_what_is_explained_has_its_errors_and_how_sure_it_is() -> None:
     assert explained.left[1] < 0.05
     assert explained.left.shape == (4,)
     assert explain(problem(None)).judged == []
+
+
+def test_bodies_that_an_exchange_brings_have_their_share_of_the_time(monkeypatch) -> None:
+    """While causes joined there were none, and the stage was not to come."""
+    changed, shares = iter([False, True, False]), dict[str, float]()
+    monkeypatch.setattr("torchid.gap.causes.explain._changed", lambda *_: next(changed))
+
+    class Asked(Pace):
+        def has_time(self, what: str, *stages: str) -> bool:
+            shares.setdefault(what, self.expected(AGAIN[0]))
+            return super().has_time(what, *stages)
+
+    explain(problem("torque_offset"), pace=Asked(None, STAGES))
+    assert shares["backlash and pushes"] == 0
+    assert shares["effects with the bodies found"] > 0
 
 
 def test_an_offset_is_read_on_the_arm_with_the_load_that_was_found() -> None:

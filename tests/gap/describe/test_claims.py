@@ -136,7 +136,7 @@ def test_shares_of_names_and_of_terms_without_one_add_up():
     names = {e["effect"] for e in found.corrected.effects}
     assert {s.effect for s in held} <= names | {"link_inertia"}
     if percent(answer.unnamed) != percent(0.0):
-        assert f"({percent(answer.unnamed)} without a sure name)" in answer.headline
+        assert f", {percent(answer.unnamed)} unnamed" in answer.headline
     assert {(c.effect, c.joints) for c in answer.causes if c.how_sure > 0.9} <= {
         ("coulomb_friction", (0,)), ("viscous_friction", (1,))
     }  # fmt: skip

@@ -7,6 +7,7 @@ import torch
 
 from tests.gap.motions import ROBOT
 from tests.gap.problems import SIMPLE, explanation_of, measured, search_of, term
+from torchid.design.deflection import Compliance
 from torchid.effects.friction import CoulombFriction, TorqueOffset
 from torchid.gap.describe.unseen import next_experiment, not_testable
 from torchid.robot.inertia import InertialParameters
@@ -47,6 +48,24 @@ def test_noise_hides_what_is_smaller_than_it() -> None:
     told = not_testable(loud)
     assert {x.reason for x in told} == {"noise hides it up to half of the joint's torque"}
     assert all(x.smallest_detectable is not None and x.smallest_detectable > 0 for x in told)
+
+
+def test_what_another_sensor_tells_of_is_not_hidden_by_the_torque_s_noise() -> None:
+    """Its evidence may be positive at any size."""
+    search = search_of(measured([], noise=20.0, hz=0.3))
+    assert "torque_offset" in {x.effect for x in not_testable(explanation_of(search, []))}
+    seen = Compliance(0.0, 1e-4, 1e-3, 0.5)
+    search.screen.stacks = [
+        replace(
+            stack,
+            terms=tuple(
+                replace(t, seen=seen, extra=1e3) if t.name == "torque_offset" else t
+                for t in stack.terms
+            ),
+        )
+        for stack in search.screen.stacks
+    ]
+    assert "torque_offset" not in {x.effect for x in not_testable(explanation_of(search, []))}
 
 
 def test_the_experiment_says_where_two_causes_differ_most() -> None:

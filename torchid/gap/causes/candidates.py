@@ -267,16 +267,16 @@ class Library:
         """A candidate whose slab is no wider than the gap allows."""
         columns = columns * (self.keep if place is None else self.keep[place])
         own = slice(None) if place is None else slice(place, place + 1)
-        every = columns if place is None else columns[:, None]
-        size = np.sqrt((every**2).sum(-1) / self.rows[own])
-        felt = (size > ROUNDING * self.torque.max()).any(0)
+        every = columns[None] if place is not None else columns.transpose(1, 0, 2)
+        mean = every @ every.transpose(0, 2, 1) / self.rows[own][:, None, None]
+        size = np.sqrt(np.diagonal(mean, axis1=1, axis2=2))
+        felt = (size > ROUNDING * self.torque.max()).any(1)
         if not felt.any():
             return None
         # In units of the gap, joint by joint; a column that is nowhere has a slab all the same.
-        unit = (every / (SLAB * self.size[own] * np.sqrt(self.rows[own]))[:, None])[:, felt]
-        flat = unit.reshape(len(unit), -1)
+        weight = felt / (SLAB * self.size[own]) ** 2
         with np.errstate(divide="ignore"):
-            precision = flat @ flat.T / felt.sum() + np.diag(std**-2.0)
+            precision = np.tensordot(weight, mean, 1) / felt.sum() + np.diag(std**-2.0)
         scale = np.sqrt(np.diagonal(precision))
         scale = np.where(scale > 0, scale, 1.0)
         unit = precision / scale / scale[:, None] + SINGULAR * np.eye(len(scale))

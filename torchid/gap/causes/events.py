@@ -196,7 +196,9 @@ def _chance(
             usual &= (first >= b + size // 2) | (last <= a - size // 2)
         if usual.sum() < FEWEST_BLOCKS or not len(own):
             continue
-        scale = max(1.0, 2 * float(np.quantile(gains[usual], LEVEL)) / chdtri(3, 1 - LEVEL))
+        # Where a force is there again there is no push, and the gain is -inf: it counts as none.
+        usually = np.maximum(gains[usual], 0.0)
+        scale = max(1.0, 2 * float(np.quantile(usually, LEVEL)) / chdtri(3, 1 - LEVEL))
         apart = usual.sum() * max(1, size // 4) / max(size, slow)
         out = min(out, float(fdtrc(3, max(apart, 1.0), 2 * own.max() / (3 * scale))))
     return out

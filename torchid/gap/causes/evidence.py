@@ -22,25 +22,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotrs
 
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.wanted import BASE
 from torchid.statistics.autocorrelation import autocorrelation, time_of
-from torchid.statistics.criteria import EXPECTED, WRONG_FILE
-
-ROUNDS, CONVERGED = 30, 1e-4
-"""Times that coefficients and the sizes of the noise are fitted in turn at most, and the relative
-change of what is left from which on they are not."""
+from torchid.statistics.criteria import WRONG_FILE
+from torchid.statistics.evidence import price_of, solved, whitening
 
 PINS = 3
 """Times that coefficients beyond what physics allows are held at their bound."""
 
 KEPT = 64
 """Sets whose normal equations are kept for those that have one term more."""
-
-ROUNDED = 1e-13
-"""What is added to the unit diagonal of a matrix before it is factored: rounding."""
 
 DIFFERENT = 1e-12
 """Share of the squares left from which on two explanations make another torque: rounding."""
@@ -284,7 +277,7 @@ class Evidence:
         """Of looking: one for each cause, and the shapes and forms that were looked at."""
         # What was there already and has changed since is two.
         causes = {(t.cause, t.since) for t in terms}
-        out = len(causes) * math.log(self.looks / EXPECTED)
+        out = len(causes) * price_of(self.looks)
         for t in terms:
             out += math.log(t.shapes * self.forms.get(t.cause, 1))
             # A file that is wrong throughout is less likely than one cause.
@@ -323,71 +316,3 @@ def spread_of(terms: Sequence[Term]) -> np.ndarray:
 def centre_of(terms: Sequence[Term]) -> np.ndarray:
     """Where the coefficients (K,) of terms are expected."""
     return np.concatenate([np.zeros(0), *(t.centre for t in terms)])
-
-
-def solved(
-    g: np.ndarray,
-    spread: np.ndarray,
-    samples: np.ndarray,
-    floor: np.ndarray,
-    pinned: np.ndarray | None = None,
-    at: np.ndarray | None = None,
-    centre: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Coefficients (K,), squares left (n,), and half of the coefficients' squares in units of their
-    slabs and of the log determinant of what the data say over what was known.
-
-    Args:
-        g: (n, K + 1, K + 1) normal matrices, the gap last.
-        spread: (K, K) root of the slabs' covariance.
-        samples, floor: (n,) that the squares count as, and squares that are rounding.
-        pinned, at: (K,) coefficients that are held, and where; none if None.
-        centre: (K,) of the slabs; at zero if None.
-    """
-    count = len(spread)
-    losses = np.maximum(g[:, -1, -1], floor)
-    if not count:
-        return np.zeros(0), losses, 0.0
-    free = np.ones(count, bool) if pinned is None else ~pinned
-    x = np.zeros(count) if at is None else at.copy()
-    if not free.any():
-        return x, np.maximum(np.append(x, -1.0) @ g @ np.append(x, -1.0), floor), 0.0
-    if not free.all():
-        # The slab of the others, whatever those that are held are.
-        spread = np.linalg.inv(
-            np.linalg.cholesky(np.linalg.inv(spread @ spread.T)[np.ix_(free, free)])
-        ).T
-    half, centre = 0.0, np.zeros(count) if centre is None else centre
-    middle = centre[free]
-    for _ in range(ROUNDS):
-        h = np.tensordot(samples / losses, g, 1)
-        a, b = h[:-1, :-1], h[:-1, -1]
-        if not free.all():
-            a, b = a[np.ix_(free, free)], b[free] - a[np.ix_(free, ~free)] @ x[~free]
-        z, half = posterior(spread.T @ a @ spread, (b - a @ middle) @ spread)
-        x[free] = middle + spread @ z
-        v = np.append(x, -1.0)
-        before, losses = losses, np.maximum((v @ g) @ v, floor)
-        half += 0.5 * float(z @ z)
-        if (np.abs(losses - before) <= CONVERGED * before).all():
-            break
-    return x, losses, half
-
-
-def posterior(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float]:
-    """Solution (K,) of (I + a) z = b, and half of the log determinant of I + a."""
-    root, size = whitening(a)
-    z = dpotrs(root, b / size, lower=1)[0] / size
-    return z, float(np.log(np.diagonal(root)).sum() + np.log(size).sum())
-
-
-def whitening(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cholesky factor of I + a in units of its diagonal, and the root of that: sizes differ by many
-    orders."""
-    size = np.sqrt(1.0 + np.diagonal(a))
-    unit = (a + np.eye(len(a))) / size / size[:, None]
-    unit.flat[:: len(a) + 1] += ROUNDED
-    root, failed = dpotrf(unit, lower=1)
-    if failed:
-        raise FloatingPointError("normal equations that are not finite")
-    return root, size

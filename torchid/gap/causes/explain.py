@@ -14,10 +14,11 @@ from torchid.gap.causes.judge import Judged, judge
 from torchid.gap.causes.misfit import foreseen
 from torchid.gap.causes.search import Found, Search
 from torchid.gap.problem import Problem
+from torchid.parallel.pace import Pace
 from torchid.robot.inertia import InertialParameters
 
-PASSES = 3
-"""Times that the columns are taken at the model found and the search goes on, at most."""
+AGAIN = ("with the bodies found", "with the bodies found, again")
+"""Stages in which the columns are taken at the model found and the search goes on, at most."""
 
 CHANGED_SHARE = 0.02
 """Relative change of a joint's model torque from which columns are taken anew [1]; at double
@@ -41,29 +42,46 @@ class Explained:
     left: np.ndarray
 
 
-def explain(problem: Problem, watch: Callable[[Search, Fit], None] | None = None) -> Explained:
+def explain(
+    problem: Problem,
+    watch: Callable[[Search, Fit], None] | None = None,
+    pace: Pace | None = None,
+) -> Explained:
     """Which causes make the gap of a model on a log.
 
     Args:
         problem: the gap, and what is looked for.
         watch: called with the search and each fit that it goes on from, the first without a cause.
+        pace: says how much time there is.
     """
-    say = watch or (lambda search, fit: None)
+    pace = pace or Pace(None, {})
+    pace("what effects do")
     kind = Library if problem.asked is None else TwoLogs
     library = kind(problem)
-    search = Search(library, say)
-    say(search, search.empty())
-    found = search.explanation()
-    for _ in range(PASSES - 1):
+    search = Search(library, watch, pace)
+    search.watch(search, search.empty())
+
+    def grown(fit: Fit) -> None:
+        """Whether effects will be taken anew with the bodies found."""
+        given = problem.given.model
+        pace.scale(AGAIN, float(_changed(given, with_bodies(given, fit), problem)))
+
+    found = search.explanation(grown=grown)
+    for stage in AGAIN:
         # What turns or scales the model does so to the bodies that were found, too.
         at = with_bodies(problem.given.model, found.fit)
         if not _changed(library.columns.model, at, problem):
             break
+        pace.scale(AGAIN, 1.0)  # an exchange may have brought bodies
+        if not pace.has_time("effects with the bodies found", stage):
+            break
+        pace(stage)
         events = [t.effect for t in found.fit.terms if t.effect is not None and t.effect.event]
         library = kind(problem, events, at)
         start = [library.same(t) for t in found.fit.terms]
-        search = Search(library, say)
+        search = Search(library, watch, pace)
         found = search.explanation([t for t in start if t is not None])
+    pace("judging")
     evidence = search.evidence
     fit = search.again(found.fit)
     # Whole motions left out say how far the gap closes; noise is what repeats, or a flexible

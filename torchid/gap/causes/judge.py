@@ -5,9 +5,6 @@ been, blocks of samples drawn again with replacement, half as many as there are 
 2023, Bayesian Analysis 18(4)), each explanation has its evidence: the likelihood of the drawn
 samples, and what its coefficients and the looking cost in proportion to the drawn samples. A
 probability is a mean over the draws. What a rival adds beside the term speaks for neither.
-
-What is left without a cause bounds how sure the others can be: odds against are at least `DOUBT`
-times its share of the squares.
 """
 
 from collections.abc import Sequence
@@ -16,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.periodic import Cogging
 from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term, excluding
@@ -24,7 +20,8 @@ from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import ONE_BODY, STEP, Search, same_columns
 from torchid.results.cause import When
 from torchid.statistics.bagging import Draws
-from torchid.statistics.criteria import DOUBT, LIKELY, SET_MASS, WRONG_FILE
+from torchid.statistics.criteria import LIKELY, SET_MASS, WRONG_FILE
+from torchid.statistics.evidence import most_sure, probabilities_of
 
 WAVES = 4
 """The longest of the grid, of which any smooth curve over a joint's position is: up to three
@@ -121,10 +118,8 @@ def judged(
     others = excluding(fit.terms, [term])
     base = evidence.fit(others, fit.samples)
     gone = frozenset({term.key, *(t.key for t in refused)})
-    likely = [(u,) for u in search.likely(base, gone)]
-    tried = [
-        (u, evidence.fit((*others, *u), fit.samples)) for u in (*likely, *_pair(search, fit, term))
-    ]
+    tried = [] if term.law is None else search.other_forms(fit, (term.law, term.since))
+    tried += [((u,), evidence.fit((*others, u), fit.samples)) for u in search.likely(base, gone)]
     # Evidence is of pairs: a rival must be likelier than nothing, by what it does not explain
     # beside the term as well.
     rivals, beside = list[tuple[tuple[Term, ...], Fit]](), list[float]()
@@ -171,9 +166,9 @@ def judged(
     told = fit.samples * np.log(np.maximum(base.losses / fit.losses, 1.0))
     if term.place is not None:
         told = told * (np.arange(library.n) == term.place)
-    before = (library.gap**2).sum(1) / library.rows
+    rest = left[:-1] * (library.gap**2).sum(1) / library.rows
     # What another sensor shows is asked of no torque that is left.
-    bound = 1.0 if term.shown else _bound(told, fall, left, before)
+    bound = 1.0 if term.shown else most_sure(told, fall, rest, float(left[-1]))
     return Judged(
         term, name, min(own, bound), min(sure, bound), nothing, tuple(members),
         min(law, bound), when,
@@ -185,20 +180,6 @@ def is_near(one: Term, other: Term) -> bool:
     return one.joints == other.joints or same_columns(one, other)
 
 
-def _pair(search: Search, fit: Fit, term: Term) -> list[tuple[Term, ...]]:
-    """Dry and viscous friction of a joint together, in the place of another form of its law."""
-    if term.law is None or term.law[0] != "friction":
-        return []
-    there = {t.key for t in fit.terms}
-    found: dict[str, Term] = {}
-    for t in search.library.terms:
-        plain = t.name in (ViscousFriction.name, CoulombFriction.name)
-        plain = plain and (t.law, t.since) == (term.law, term.since)
-        if plain and t.key not in there:
-            found.setdefault(t.name, t)
-    return [tuple(found.values())] if len(found) == 2 else []
-
-
 def _left_where_it_acts(search: Search, fit: Fit, without: Fit) -> float:
     """Share of the squares that is left of a gap where a term acts, each joint in units of what is
     left of it."""
@@ -208,22 +189,6 @@ def _left_where_it_acts(search: Search, fit: Fit, without: Fit) -> float:
     noise = (fit.losses / search.library.rows)[:, None] / unit**2
     a, b = ((x[:, acts] / unit) ** 2 - noise for x in (after, before))
     return float(np.clip(a.sum() / max(b.sum(), 1e-300), 0.0, 1.0))
-
-
-def _bound(told: np.ndarray, fall: np.ndarray, left: np.ndarray, before: np.ndarray) -> float:
-    """How sure a cause can be beside what is left without one: of the squares that it and the rest
-    take on the joints that tell of it, and of the whole arm's.
-
-    Args:
-        told: (n,) likelihood by which each joint tells of it [nats].
-        fall: (n,) mean squares that it takes.
-        left: (n + 1,) share of each joint's mean squares (n,) that is left, and the arm's.
-        before: (n,) those.
-    """
-    rest = left[:-1] * before
-    shares = rest / np.maximum(fall + rest, 1e-300)
-    share = float((told * shares).sum() / max(told.sum(), 1e-300))
-    return 1 / (1 + DOUBT * max(share, float(left[-1])))
 
 
 def probabilities(
@@ -254,9 +219,7 @@ def probabilities(
         paid = its.known - mine.known + evidence.price(its.terms) - evidence.price(mine.terms)
         more = beside[k - 1] if k and len(beside) else 0.0
         rises.append(ratio - drawn * (paid + more))
-    found = np.stack(rises)
-    weights = np.exp(found - found.max(0))
-    return (weights / weights.sum(0)).mean(1).tolist()
+    return probabilities_of(np.stack(rises))
 
 
 def _squares(search: Search, fit: Fit, draws: Draws, share: np.ndarray) -> np.ndarray:

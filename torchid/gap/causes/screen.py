@@ -10,6 +10,7 @@ never needed; those with a term of the fit are made once.
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,10 @@ class Stack:
         return (columns[self.place] @ flat.T)[None]
 
 
+OF_A_PLACE = 3
+"""Candidates of one joint, or of one effect on the whole arm, that are looked at before others."""
+
+
 class Screen:
     """All candidates of a library beside any fit.
 
@@ -104,7 +109,8 @@ class Screen:
     def best(
         self, fit: Fit, samples: np.ndarray, count: int, without: frozenset[object] = frozenset()
     ) -> list[tuple[float, Term]]:
-        """Candidates that raise the evidence most to first order, the best shape of each key.
+        """Candidates that raise the evidence most to first order. Of a joint, and of an effect on
+        the whole arm, more than three come only where others leave room for them.
 
         Args:
             fit: beside which.
@@ -112,6 +118,22 @@ class Screen:
             count: of them; beside an earlier log half of them are new and half in both.
             without: keys that are not looked at.
         """
+        of_place = Counter[object]()
+        within, beyond = list[tuple[float, Term]](), list[tuple[float, Term]]()
+        for gain, term in self.ranked(fit, samples, without):
+            place = term.since, term.name if term.place is None else term.place
+            of_place[place] += 1
+            (within if of_place[place] <= OF_A_PLACE else beyond).append((gain, term))
+        some = [*within, *beyond]
+        kinds = dict.fromkeys(t.since for _, t in some)
+        each = math.ceil(count / max(len(kinds), 1))
+        return [p for kind in kinds for p in [p for p in some if p[1].since == kind][:each]]
+
+    def ranked(
+        self, fit: Fit, samples: np.ndarray, without: frozenset[object] = frozenset()
+    ) -> list[tuple[float, Term]]:
+        """All candidates, the best shape of each key, by how much they raise the evidence to first
+        order; arguments as for `best`."""
         evidence = self.evidence
         every = (*evidence.nuisance, *fit.terms)
         weight = samples / fit.losses
@@ -141,7 +163,4 @@ class Screen:
                 if gain > best.get(term.key, (-math.inf, term))[0]:
                     best[term.key] = gain, term
         there = {t.key for t in fit.terms} | without
-        ranked = sorted((p for key, p in best.items() if key not in there), key=lambda p: -p[0])
-        kinds = dict.fromkeys(t.since for _, t in ranked)
-        each = math.ceil(count / max(len(kinds), 1))
-        return [p for kind in kinds for p in [p for p in ranked if p[1].since == kind][:each]]
+        return sorted((p for key, p in best.items() if key not in there), key=lambda p: -p[0])

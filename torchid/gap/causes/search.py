@@ -14,15 +14,20 @@ import numpy as np
 from torchid.effects.base import JointEffect, ModelEffect
 from torchid.gap.causes.candidates import Library, Term, excluding
 from torchid.gap.causes.events import planes, pushes
-from torchid.gap.causes.evidence import Evidence, Fit, centre_of, solved, spread_of
+from torchid.gap.causes.evidence import Evidence, Fit, centre_of, spread_of
 from torchid.gap.causes.screen import Screen
+from torchid.parallel.pace import Pace
 from torchid.statistics.blocks import block_numbers
+from torchid.statistics.evidence import solved
 
 TRIED = 10
 """Candidates that are fitted in a step."""
 
 ONE_BODY = 0.01
 """The same of a load and an error of its link, whose slabs differ [1]."""
+
+FORMS = 3
+"""Forms of a joint's law that are tried as the first of two, and as the second."""
 
 SEEDS = 4
 """Likeliest candidates that are tried with a second one where none helps alone."""
@@ -39,6 +44,9 @@ SWAPS, EXCHANGED = 20, 20
 
 LEVELS = 3
 """Times that a shape is refined, each time three times more closely."""
+
+JUDGED, USUAL = ("judging", "locating"), 10
+"""Stages that follow a search, and the number of causes with which they take their shares."""
 
 ROUNDS = 3
 """Times that the search goes over its steps at most, with shapes that were refined."""
@@ -81,14 +89,24 @@ class Search:
     Args:
         library: of the candidates.
         watch: called with the search and each fit that it goes on from.
+        pace: says how much time there is.
     """
 
-    def __init__(self, library: Library, watch: "Callable[[Search, Fit], None] | None" = None):
+    def __init__(
+        self,
+        library: Library,
+        watch: "Callable[[Search, Fit], None] | None" = None,
+        pace: Pace | None = None,
+    ):
         self.library = library
+        self.pace = pace or Pace(None, {})
         self.evidence = Evidence(library)
         self.screen = Screen(self.evidence)
         self.watch = watch or (lambda search, fit: None)
         self.visited: set[frozenset[int]] = set()
+        self._forms_of: Fit | None = None
+        self._forms: dict[object, list[tuple[tuple[Term, ...], Fit]]] = {}
+        self._rises: dict[tuple[Fit, Fit], float] = {}
 
     def empty(self) -> Fit:
         """What is always fitted, alone."""
@@ -103,15 +121,19 @@ class Search:
         """A fit without a term, with as many samples."""
         return self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
 
-    def explanation(self, start: Sequence[Term] = ()) -> Found:
+    def explanation(
+        self, start: Sequence[Term] = (), grown: Callable[[Fit], None] | None = None
+    ) -> Found:
         """The likeliest set of causes whose every member is worth its name.
 
         Args:
             start: terms that the search begins with.
+            grown: called with the causes that have joined, before they are exchanged.
         """
         self.visited.clear()
-        # Pushes first: a law that acts at an end or beyond a limit would explain one.
+        self.pace("adding causes")
         fit = self.empty()
+        # Pushes first: a law that acts at an end or beyond a limit would explain one.
         self._offer(self._pushes(fit))
         there = {t.key for t in start}
         start = [*start, *(t for t in self.library.terms if t.shown and t.key not in there)]
@@ -119,7 +141,11 @@ class Search:
             fit = self.again(self.evidence.fit(start, fit.samples))
             fit = self.shrink(fit)
         fit = self.grow(fit)
-        self._offer([*self.library.plays(self._open(fit)), *self._pushes(fit)])
+        if grown is not None:
+            grown(fit)
+        self.pace("exchanging causes")
+        if self.pace.has_time("backlash and pushes"):
+            self._offer([*self.library.plays(self._open(fit)), *self._pushes(fit)])
         for _ in range(ROUNDS):
             before = {t.key for t in fit.terms}
             fit = self.refine(self.swap(self.grow(fit)))
@@ -155,8 +181,17 @@ class Search:
     def _take(self, fit: Fit) -> Fit:
         """The fit that the search goes on from."""
         self.visited.add(frozenset(t.serial for t in fit.terms))
+        self._rises.clear()
+        self.pace.scale(JUDGED, (1 + len(fit.terms)) / USUAL)
+        self.pace.tell()
         self.watch(self, fit)
         return self.again(fit)
+
+    def _rise(self, fit: Fit, now: Fit) -> float:
+        """Evidence of a fit over what is there."""
+        if (fit, now) not in self._rises:
+            self._rises[fit, now] = self.evidence.over(fit, now)
+        return self._rises[fit, now]
 
     def _better(self, fits: Sequence[Fit], now: Fit, least: float) -> tuple[float, Fit] | None:
         """The fit with the most evidence over what is there, above a least rise; none that was
@@ -165,7 +200,7 @@ class Search:
         for fit in fits:
             if frozenset(t.serial for t in fit.terms) in self.visited:
                 continue
-            rise = self.evidence.over(fit, now)
+            rise = self._rise(fit, now)
             # Of what makes the same torque in this log the first of the library is taken.
             if best is None:
                 best = (rise, fit) if rise > least else None
@@ -181,6 +216,8 @@ class Search:
     def grow(self, fit: Fit) -> Fit:
         """Causes join, and what they make superfluous leaves."""
         while len(fit.terms) < self.library.problem.settings.max_effects:
+            if not self.pace.has_time("further causes"):
+                return fit
             tried = [self.evidence.fit((*fit.terms, t), fit.samples) for t in self.likely(fit)]
             step = self._better(tried, fit, STEP) or self._better(
                 self._pairs(tried, fit), fit, STEP
@@ -194,7 +231,7 @@ class Search:
 
     def _pairs(self, tried: Sequence[Fit], now: Fit) -> list[Fit]:
         """Two terms at once: beside what one alone leaves, few samples may tell of it."""
-        likely = sorted(tried, key=lambda f: -self.evidence.over(f, now))[:SEEDS]
+        likely = sorted(tried, key=lambda f: -self._rise(f, now))[:SEEDS]
         out = []
         for one in (f for f in likely if f.allowed):
             for samples in (self.library.rows, self.evidence.independent(one)):
@@ -216,6 +253,8 @@ class Search:
         """One term is exchanged for another, which must be likelier than nothing in its place, too:
         evidence is of pairs."""
         for _ in range(SWAPS):
+            if not self.pace.has_time("exchanges of causes"):
+                return fit
             tried = self._exchanged(fit)
             step = self._better(tried, fit, STEP)
             while step is not None:
@@ -229,6 +268,36 @@ class Search:
                 return fit
             fit = self.shrink(self._take(step[1]))
         return fit
+
+    def other_forms(self, fit: Fit, law: object) -> list[tuple[tuple[Term, ...], Fit]]:
+        """Two other forms of a joint's law in the place of all that an explanation has of it: forms
+        stand for each other together, as dry and viscous friction do for a power of the speed.
+
+        Args:
+            fit: the explanation.
+            law: and in which log it acts.
+
+        Returns:
+            The forms and their fit; none where there are no two.
+        """
+        if self._forms_of is not fit:
+            self._forms_of, self._forms = fit, {}
+        if law in self._forms:
+            return self._forms[law]
+        evidence, own = self.evidence, [t for t in fit.terms if (t.law, t.since) == law]
+        gone = frozenset(t.key for t in own)
+
+        def with_another(beside: Fit) -> list[Fit]:
+            ranked = self.screen.ranked(beside, self.library.rows, gone)
+            forms = [t for _, t in ranked if (t.law, t.since) == law][:FORMS]
+            return [evidence.fit((*beside.terms, t), fit.samples) for t in forms]
+
+        rest = evidence.fit(excluding(fit.terms, own), fit.samples)
+        pairs = [two for one in with_another(rest) for two in with_another(one)]
+        best = max(pairs, key=evidence.value, default=fit)
+        there = best is not fit and best.allowed
+        self._forms[law] = [(best.terms[-2:], best)] if there else []
+        return self._forms[law]
 
     def _exchanged(self, fit: Fit) -> list[Fit]:
         """Fits with one term for another: the likeliest with the samples at hand, and none that
@@ -250,6 +319,8 @@ class Search:
     def refine(self, fit: Fit, which: Sequence[int] | None = None) -> Fit:
         """Shapes, and secants of changes of the model, a little otherwise: of some terms or all."""
         for k in range(len(fit.terms)) if which is None else which:
+            if not self.pace.has_time("finer shapes"):
+                break
             for level in range(LEVELS):
                 term, values = fit.terms[k], fit.values()[k]
                 fits = [
@@ -281,10 +352,8 @@ class Search:
         else:
             assert isinstance(effect, ModelEffect)
             there = [] if len(term.joints) > 1 else [effect.at_estimate(values.tolist())]
-            near = [
-                e for e in (*there, *effect.around(level, library.samples.interval)) if e != effect
-            ]
-            made = [library.of_effect(e) for e in near]
+            near = (*there, *effect.around(level, library.samples.interval))
+            made = [library.of_effect(e) for e in near if e != effect]
         return [library.like(t, term) for t in made if t is not None]
 
     def _pushes(self, fit: Fit) -> list[Term]:
@@ -297,10 +366,8 @@ class Search:
         """Joints on which something is left to explain: more than differs between repeats; or, of a
         log without any, what is slower than noise."""
         library = self.library
-        size, slow = (
-            np.sqrt(fit.losses / library.rows),
-            library.rows / self.evidence.independent(fit),
-        )
+        size = np.sqrt(fit.losses / library.rows)
+        slow = library.rows / self.evidence.independent(fit)
         more = np.where(np.isnan(library.noise), slow > SLOW, size > MORE * library.noise)
         return [j for j in range(library.n) if more[j] and library.keep[j].any()]
 
@@ -311,6 +378,7 @@ class Search:
         if terms:
             self.library.terms += terms
             self.evidence.refresh()
+            self._rises.clear()
             self.screen.add(terms)
 
     # ------------------------------------------------------------------ worth
@@ -370,18 +438,14 @@ class Search:
             ]
             if min(worth) >= 1:
                 break
-            k = int(np.argmin(worth))
-            small.append(fit.terms[k])
-            fit = self.again(self.without(fit, fit.terms[k]))
+            small.append(fit.terms[int(np.argmin(worth))])
+            fit = self.again(self.without(fit, small[-1]))
         return Found(fit, tuple(small))
 
     def _share(self, fit: Fit, term: Term) -> float:
         """Share of the samples in which a term acts: of what happens once, or at an end of the
         travel; else all of them."""
-        if not term.rare:
-            return 1.0
-        rest = self.without(fit, term)
-        return float(self.acting(fit, rest).mean())
+        return float(self.acting(fit, self.without(fit, term)).mean()) if term.rare else 1.0
 
     def _displaced(self, fit: Fit, term: Term) -> float:
         """Torque that without a term the model's own corrections make in its place, over what is

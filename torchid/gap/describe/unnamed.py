@@ -21,7 +21,10 @@ from torchid.statistics.criteria import LIKELY
 
 FEWEST_RUNS = 3
 """Of which one can be the odd one."""
-PLACES_ASKED, OF_A_PLACE, LIKELIEST = 6, 2, 60
+POSSIBLE = 0.005
+"""Probability below which a cause, at 0 %, is no suspect."""
+
+PLACES_ASKED, ASKED_OF_EACH, LIKELIEST = 6, 2, 60
 """Places, and the likeliest candidates of each, that are asked run by run; of so many."""
 
 
@@ -64,12 +67,12 @@ def causes_of_few_runs(found: Explanation, explained: Explained) -> tuple[Cause,
     if len({s.name for s in library.samples.segments}) < FEWEST_RUNS:
         return ()
     places: dict[object, list[Term]] = {}
-    for _, term in search.screen.best(found.fit, library.rows, LIKELIEST):
+    for _, term in search.screen.ranked(found.fit, library.rows)[:LIKELIEST]:
         if len(places) == PLACES_ASKED and term.place not in places:
             continue
         near = places.setdefault(term.place, [])
         # Asked last, for it is of every shape.
-        if len(near) < OF_A_PLACE and not (term.parametric or at_an_end(library, term)):
+        if len(near) < ASKED_OF_EACH and not (term.parametric or at_an_end(library, term)):
             near.append(term)
     asked = [term for near in places.values() for term in near]
     fits = [search.evidence.fit([*found.terms, t], found.fit.samples) for t in asked]
@@ -101,14 +104,15 @@ def _of_few(entries: Sequence[Cause]) -> list[int]:
 def without_name(
     found: Explanation, claims: Sequence[Claim], shares: Sequence[float]
 ) -> tuple[Cause, ...]:
-    """Causes of an explanation that are less likely there than not, the surest first.
+    """Causes of an explanation that are less likely there than not, and possible, the surest first.
 
     Args:
         found: what is answered, or was before all of it lost its names.
         claims: its causes.
         shares: of the error that each takes; NaN where the corrected model does not hold it.
     """
-    pairs = ((one, share) for one, share in zip(claims, shares, strict=True) if one.unnamed)
+    every_pair = zip(claims, shares, strict=True)
+    pairs = ((c, share) for c, share in every_pair if c.unnamed and c.alone_sure >= POSSIBLE)
     every = (
         structs.replace(_entry(found, one.term, one.alone_sure), share=share)
         for one, share in pairs

@@ -147,6 +147,9 @@ def _hidden(found: Explanation, size: float, left: float, term: Term) -> tuple[s
     """Why a candidate could not have been told, empty where it could; and from which first
     coefficient on its evidence would be positive on average, None of any."""
     library, evidence, fit = found.search.library, found.search.evidence, found.fit
+    # What another sensor tells of is not hidden by the torque's noise.
+    if term.seen is not None:
+        return "", None
     if size <= 1e-9:
         return NOT_EXCITED, None
     share = left / size

@@ -1,0 +1,87 @@
+"""Coefficients with slabs, and how sure one explanation is beside others."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from torchid.statistics.criteria import DOUBT, EXPECTED
+from torchid.statistics.evidence import most_sure, price_of, probabilities_of, solved
+
+
+@settings(deadline=None)  # a busy machine solves slowly
+@given(seed=st.integers(0, 1000), count=st.integers(1, 6))
+def test_coefficients_are_those_of_the_posterior(seed: int, count: int) -> None:
+    """Of known noise: the ridge solution, and what a slab costs, written out."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(count, 40)), rng.normal(size=40)
+    spread = np.tril(rng.normal(size=(count, count))) + 2 * np.eye(count)
+    full = np.concatenate([x, y[None]])
+    g = (full @ full.T)[None]
+    samples, floor = np.array([40.0]), np.array([1e9])  # the floor is the noise: it stays
+    found, losses, half = solved(g, spread, samples, floor)
+    weight, precision = 40 / 1e9, np.linalg.inv(spread @ spread.T)
+    normal = weight * x @ x.T
+    right = np.linalg.solve(normal + precision, weight * x @ y)
+    np.testing.assert_allclose(found, right, rtol=1e-6, atol=1e-12)
+    determinant = np.linalg.slogdet(np.eye(count) + spread.T @ normal @ spread)[1]
+    assert half == pytest.approx(
+        0.5 * (right @ precision @ right + determinant), rel=1e-6, abs=1e-9
+    )
+    assert losses == floor
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.floats(-500, 500), min_size=1, max_size=5), st.integers(1, 20), st.integers(0, 99)
+)
+def test_probabilities_add_up_to_one(evidence: list[float], logs: int, seed: int) -> None:
+    rises = np.array(evidence)[:, None] + np.random.default_rng(seed).normal(size=logs)
+    found = probabilities_of(rises)
+    assert sum(found) == pytest.approx(1.0)
+    assert (
+        int(np.argmax(found)) == int(np.argmax(evidence))
+        or min(abs(np.max(evidence) - e) for e in evidence if e != max(evidence)) < 1e-9
+    )
+
+
+def test_what_half_of_the_logs_want_is_half_sure() -> None:
+    """One log would be sure of either."""
+    gain = np.where(np.arange(40) % 2 == 0, 500.0, -500.0)
+    assert probabilities_of(np.stack([np.zeros(40), gain]))[0] == pytest.approx(0.5)
+
+
+def test_one_cause_of_those_looked_at_has_its_price() -> None:
+    assert price_of(60) == pytest.approx(math.log(60 / EXPECTED))
+    assert price_of(0) == price_of(1)
+
+
+@pytest.mark.parametrize(("rest", "whole"), [(0.0, 0.0), (1.0, 0.0), (0.0, 0.25), (1.0, 0.75)])
+def test_what_is_left_bounds_how_sure_a_cause_is(rest: float, whole: float) -> None:
+    """By the joint that tells of it, or by the arm; another joint's rest alone is none of it."""
+    told, fall = np.array([9.0, 0.0]), np.array([3.0, 0.0])
+    share = max(rest / (3.0 + rest), whole)
+    left = np.array([rest, 7.0])
+    assert most_sure(told, fall, left, whole) == pytest.approx(1 / (1 + DOUBT * share))
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 1000), known=st.integers(0, 2))
+def test_what_is_held_leaves_the_others_their_slab_beside_it(seed: int, known: int) -> None:
+    """Conditional covariance, written out; of coefficients that are known exactly there is none."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(6, 40)), rng.normal(size=40)
+    spread = rng.normal(size=(6, 6))
+    spread[:known] = 0.0
+    held = np.array([True, True, True, False, False, False])
+    full = np.concatenate([x, y[None]])
+    g = (full @ full.T)[None]
+    found, _, _ = solved(g, spread, np.array([1e9]), np.array([1e9]), held, np.zeros(6))
+    whole = spread @ spread.T
+    own, across, others = whole[3:, 3:], whole[3:, known:3], whole[known:3, known:3]
+    beside = own - across @ np.linalg.solve(others, across.T)
+    ridge = np.linalg.solve(x[3:] @ x[3:].T + np.linalg.inv(beside), x[3:] @ y)
+    np.testing.assert_allclose(found[3:], ridge, rtol=1e-5, atol=1e-9)
+    np.testing.assert_array_equal(found[:3], 0.0)
