@@ -1,48 +1,66 @@
-"""Motions that were left out are a factor of how sure an effect is."""
+"""Motions that were left out: servos as the others tell them, and what the answer leaves there."""
+
+from dataclasses import replace
 
 import pytest
 import torch
 
-from torchid.position.checked import Checked
-from torchid.position.effects import BY_NAME, GRAVITY
+from tests.position.planted import planted, robot, true_servos
+from torchid.position.checked import Checked, folds_of
+from torchid.position.data import prepare
+from torchid.position.effects import CORE
+from torchid.position.judge import equations
 from torchid.position.record import Accuracy
-
-WAY = Accuracy.of_joints(torch.tensor([9.0, 9.0]), torch.tensor([4.0, 4.0]))
-
-
-def checked(beside_plain: float, beside_file: float, file: bool = True) -> Checked:
-    """Squared errors of joint 1 fall by these on the mean of twenty blocks; joint 2's rise."""
-    g = torch.Generator().manual_seed(4)
-    falls = torch.randn(2, 20, 2, generator=g, dtype=torch.float64)
-    falls = falls - falls.mean(1, keepdim=True) - 3.0
-    falls[0, :, 0] += 3.0 + beside_plain
-    falls[1, :, 0] += 3.0 + beside_file
-    errors = (torch.zeros(1, 2), torch.zeros(1, 2))
-    return Checked(WAY, WAY, WAY, WAY if file else None, errors, falls, (0.0, 1.0))
+from torchid.position.servo_model import Motions, ServoModel
+from torchid.simulation.servo import INDEX
+from torchid.simulation.servo_loop import windows_of
 
 
-def test_an_effect_is_held_against_servos_that_lack_it():
-    """What plain servos have, too, beside the file's; gravity and its own numbers as well."""
-    one = checked(beside_plain=-3.0, beside_file=3.0)
-    new = [("coulomb_friction", False), ("command_delay", False), ("dead_zone", True)]
-    assert [one.confirmed(BY_NAME[name], 0, changed) for name, changed in new] == [1.0] * 3
-    assert one.confirmed(GRAVITY, 0, False) == 1.0
-    assert one.confirmed(BY_NAME["dead_zone"], 0, False) == 0.0
-    # Without servos in the file nobody lacks what plain ones have.
-    plain = checked(beside_plain=-3.0, beside_file=-3.0, file=False)
-    assert plain.confirmed(BY_NAME["command_delay"], 0, False) == 1.0
+def test_servos_without_a_motion_are_those_that_are_fitted_to_the_others():
+    """One step of the others' normal equations goes where a fit to them does, and of a motion with
+    servos of its own it takes these away."""
+    log = planted(true_servos(3), motions=3, seconds=10.0)
+    other = planted(true_servos(3, damping=(2, 26.0)), motions=3, seconds=10.0)
+    mixed = torch.where((log.trajectory == 2)[:, None], other.q, log.q)
+    data = prepare(robot(), log.replace(q=mixed))
+    windows, every = windows_of(data.tracks, 2.0), torch.ones(3, dtype=torch.bool)
+    model = ServoModel(true_servos(3), dict.fromkeys(CORE, every)).fitted(Motions(data, windows), 6)
+    gone = torch.arange(3) == 2
+    told = equations(data, model.servos, model.free, windows).without(gone)
+    others = Motions(data, windows.some(torch.nonzero(~gone[windows.motion]).flatten()))
+    fitted = model.fitted(others, 6)
+    apart = [x.of("damping")[1] / x.of("kp")[1] for x in (model.servos, told, fitted.servos)]
+    assert abs(float(apart[1] / apart[2]) - 1) < 0.2 * abs(float(apart[0] / apart[2]) - 1)
+    before, one, best = (others.losses(x).sum(0)[1] for x in (model.servos, told, fitted.servos))
+    assert float((before - one) / (before - best)) > 0.9
 
 
-def test_what_does_no_good_elsewhere_is_unsure_there():
-    shares = [checked(fall, 0.0).confirmed(BY_NAME["dead_zone"], 0, False) for fall in (-1, 0, 1)]
-    assert shares == sorted(shares)
-    assert shares[0] < 0.1
-    assert shares[1] == pytest.approx(0.5, abs=0.2)
-    assert shares[2] > 0.9
-    assert checked(3.0, 3.0).confirmed(BY_NAME["dead_zone"], 1, False) == 0.0
+def test_limits_of_set_points_stay_where_all_motions_have_them():
+    servos = true_servos(3, acceleration=(2, 4.0))
+    data = prepare(robot(), planted(servos, motions=2, seconds=10.0))
+    windows, every = windows_of(data.tracks, 2.0), torch.ones(3, dtype=torch.bool)
+    free = dict.fromkeys(CORE, every) | {"acceleration": torch.arange(3) == 1}
+    told = equations(data, servos, free, windows).without(torch.tensor([True, False]))
+    k = INDEX["acceleration"]
+    assert torch.equal(told.joint[:, k], servos.joint[:, k])
+    assert not torch.equal(told.of("kp"), servos.of("kp"))
 
 
-def test_what_acts_in_few_blocks_is_asked_of_the_log_as_it_is():
-    one = checked(beside_plain=0.2, beside_file=0.0)
-    assert 0.5 < one.confirmed(BY_NAME["dead_zone"], 0, False) < 1.0
-    assert one.confirmed(BY_NAME["end_stop"], 0, False) == 1.0
+@pytest.mark.parametrize("file", [True, False])
+def test_what_the_answer_leaves_is_told_beside_the_servos_before(file):
+    def way(*size: float) -> Accuracy:
+        error = torch.tensor([*size, torch.nan], dtype=torch.float64)
+        return Accuracy.of_joints(error, error)
+
+    none = torch.zeros(1, 3)
+    one = Checked(way(9, 9), way(4, 2), way(2, 1), way(8, 4), (none, none), (0.0, 1.0))
+    one = one if file else replace(one, file=None)
+    left, whole = one.left(torch.tensor([0.0, 1e-3, 1e-3]).double())
+    # An error of what calls for no cause, and a joint that never moves, leave nothing.
+    assert left.tolist() == pytest.approx([4e-6, 0.0, 0.0])
+    assert whole == pytest.approx(4 / (80 if file else 20))
+
+
+def test_every_fifth_motion_is_in_one_fold():
+    assert folds_of(7).tolist() == [0, 1, 2, 3, 4, 0, 1]
+    assert folds_of(2).tolist() == [0, 1]

@@ -86,7 +86,7 @@ def test_nothing_to_tell_from(log: Log) -> None:
     with pytest.raises(LogError, match="no joint moves"):
         prepare(robot(), log.replace(q=still))
     with pytest.raises(LogError, match="too short"):
-        prepare(robot(), planted(true_servos(3), motions=1, seconds=8.0))
+        prepare(robot(), planted(true_servos(3), motions=1, seconds=5.0))
     with pytest.raises(LogError, match="has no commands"):
         prepare(robot(), log.replace(u=None))
 

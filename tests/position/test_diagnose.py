@@ -167,7 +167,7 @@ def test_an_answer_says_whether_what_it_names_is_all():
     assert replace(found, findings=()).status == "detected_unexplained"
     quiet = replace(found, findings=(), plain_servo=near, answered=near)
     assert quiet.status == "no_gap"
-    assert "The rest has no known cause" in found.answer.headline
+    assert "rest unexplained" in found.answer.headline
     # A joint that never moves is neither a success nor a failure.
     assert (found.answered.whole_mrad, found.answered.windows_2s_mrad) == (5.0, 2.5)
     assert found.record.how_far.answered.whole_mrad == 5.0

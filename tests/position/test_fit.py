@@ -13,7 +13,7 @@ from torchid.log.model import Log
 from torchid.position.data import prepare
 from torchid.position.equal import pooled
 from torchid.position.file_servos import changes_of
-from torchid.position.fit import _step, errors, fit, loss, moved, searched, sensitivities
+from torchid.position.fit import bounded_step, errors, fit, loss, moved, searched, sensitivities
 from torchid.position.judge import equations, value_interval
 from torchid.position.model import ServoArm
 from torchid.position.search import plain
@@ -304,7 +304,7 @@ def test_a_step_ends_at_the_end_of_a_range():
         b = torch.randn(1, 12, generator=g, dtype=torch.float64)
         here = torch.rand(1, 4, generator=g, dtype=torch.float64) * positive
         pull = (a * b[..., None]).sum(1)
-        step = _step(a.mT @ a, pull, here, positive)
+        step = bounded_step(a.mT @ a, pull, here, positive)
         low = torch.where(positive, -here, -torch.inf)[0]
         best = lsq_linear(a[0].numpy(), -b[0].numpy(), (low.numpy(), torch.inf)).x
         free = -torch.linalg.solve(a.mT @ a, pull)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchid.parallel.pace import Pace
 from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
 from torchid.position.file_servos import Followed, Worth, beside_file, weighing_otherwise
 from torchid.position.payload import Loaded, with_load
@@ -29,8 +30,12 @@ from torchid.robot.model import error_unit
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Bool, Float
 
-Say = Callable[[str], None]
-"""Hears which stage begins."""
+SEVERAL = {
+    "gains, friction and delay": 2, "profile": 8, "stops": 0.4, "plane": 0.4, "clip": 0.4,
+    "speed": 0.4, "filter": 7, "integral action": 0.3, "dead zone": 0.3, "scale of commands": 2,
+    "all together": 10,
+}  # fmt: skip
+"""Stages of a search for several effects on one joint, with their shares of the time [1]."""
 ANCHORS = ("kp", "armature", "offset")
 """Numbers of a file beside which a load is sought: free, they make up for most of it."""
 
@@ -105,35 +110,44 @@ def as_the_file(problem: Problem) -> Answered | None:
 
 
 def best_answer(
-    problem: Problem, say: Say = lambda _: None, watch: Callable[[Answer], None] | None = None
+    problem: Problem, pace: Pace | None = None, watch: Callable[[Answer], None] | None = None
 ) -> Answered:
     """What the search finds in few windows and each effect is worth there, fitted to more.
 
     Where one number a joint explains what a file's servos lack, nothing else is looked for; else
-    these are begun with where they are nearer than plain ones.
+    these are begun with where they are nearer than plain ones. What there is no time for is left
+    out.
     """
-    say("one effect at a time")
+    pace = pace or Pace(None, {})
+    pace("one effect at a time")
     given, problem = problem, _weighing_as_log(problem)
     few, squares = problem.few, problem.squares
     begun, single, file = problem.simple, None, problem.file
     first = begun if file is None else file.model
     early = None if watch is None else EarlyAnswer(watch, few, first, file is not None)
+    others_than_core = "effects beside gains, friction and delay", "one effect at a time"
     if file is not None:
-        single = _beside_file_servos(problem, file.model, early)
+        single = SingleEffects(file.model, ~few.every, {})
+        if pace.has_time(*others_than_core):
+            single = _beside_file_servos(problem, file.model, early)
         before, after = (m.losses(few) for m in (begun, single.model))
         begun = single.model.joined(begun, before <= after)
     loaded, others = None, tuple[str, ...]()
     if single is None or not bool((single.explained | problem.data.still).all()):
-        single = best_single_effect_per_joint(few, begun, early)
-        say("a load")
-        loaded, single, others = _or_a_load(few, begun, single, file)
-        if not bool(single.explained.all()):
-            several = full(few, say)
+        single = SingleEffects(begun, ~few.every, {})
+        if pace.has_time(*others_than_core):
+            single = best_single_effect_per_joint(few, begun, early)
+        pace("a load")
+        if pace.has_time("a load", "a load"):
+            loaded, single, others = _or_a_load(few, begun, single, file)
+        whole = bool(single.explained.all())
+        if not whole and pace.has_time("several effects on one joint", *SEVERAL):
+            several = full(few, pace)
             several = _no_worse(few, begun, several)
             several = _no_worse(few, single.model, several)
             single = replace(single, model=with_usual_effects(few, several))
             loaded = _with_load(few, single.model, file)
-    say("what each effect is worth")
+    pace("what each effect is worth")
     motions, model = few, settled(few, single.model)
     worth, rivals = Worth(), Rivals()
     if problem is not given:

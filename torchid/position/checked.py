@@ -7,20 +7,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import ServoEffect
 from torchid.position.answered import Answered
 from torchid.position.data import WINDOW_S, PositionData
-from torchid.position.effects import CORE, GRAVITY
 from torchid.position.fit import errors
-from torchid.position.judge import closed_share
+from torchid.position.judge import Equations, closed_share
 from torchid.position.problem import Problem
 from torchid.position.record import Accuracy
 from torchid.position.servo_model import Motions, ServoModel
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import windows_of
 from torchid.statistics.resampling import (
     DRAWS,
-    bootstrap_weights,
-    falling_share,
     nested_weights,
     percentile_interval,
 )
@@ -40,8 +37,6 @@ class Checked:
             model and the servos of the robot's file come; the last None where it has none.
         errors: (T, n) whole motions' of the file's servos, or plain ones, and of the answered
             model, row by row [log's unit].
-        falls: (2, B, n) by which squared errors fall in blocks of 2 s, beside plain servos and
-            beside those of the file [log's unit].
         closed_ci95: of the share of the errors that is closed; nan where too little is defined.
     """
 
@@ -50,42 +45,46 @@ class Checked:
     answered: Accuracy
     file: Accuracy | None
     errors: tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]
-    falls: Float[Tensor, "2 B n"]
     closed_ci95: tuple[float, float]
 
-    def confirmed(self, effect: ServoEffect, joint: int, changed: bool) -> float:
-        """Probability that the error of a joint is less with the answered model, on logs that might
-        have been, than of servos that lack an effect: those of the file, where it has the effect
-        with another number or plain servos have it, too; else plain ones, who are not asked of what
-        they have. What acts in few blocks is asked of the log as it is: no others can speak for
-        it."""
-        of_all = bool(effect.parameters) and set(effect.parameters) <= set(CORE)
-        beside_file = changed or effect.name == GRAVITY.name or (of_all and self.file is not None)
-        if of_all and not beside_file:
-            return 1.0
-        falls = self.falls[int(beside_file), :, joint].numpy()
-        weights = bootstrap_weights(len(falls), DRAWS, np.random.default_rng(0))
-        rare = effect.family == "world"
-        return float(falling_share(falls, np.ones((1, len(falls))) if rare else weights))
+    def left(self, unseen: Float[Tensor, " n"]) -> tuple[Float[Tensor, " n"], float]:
+        """Mean squared errors (n,) in windows that the answered model leaves [log's unit squared],
+        and their share of the arm's before; nothing of joints that never move.
+
+        Args:
+            unseen: RMS errors that call for no cause [log's unit].
+        """
+        before, after = (
+            1e-6 * way.windows.square() for way in (self.file or self.simple, self.answered)
+        )
+        rest = (after - unseen.square()).clamp(min=0).nan_to_num(0.0)
+        return rest, min(1.0, float(rest.sum() / before.nansum().clamp(min=1e-300)))
 
 
-def check(answered: Answered, problem: Problem) -> Checked:
-    """What is free of plain servos and of the answered model is fitted without the fold of motions
-    that it is judged on; servos of a file are as they are."""
-    data, model = problem.data, answered.model
-    if problem.file is not None and answered.by_file is None:
-        model = replace(model, free={}, plane=False)
-    models = [(data, problem.simple), (answered.motions.data, model)]
+def check(answered: Answered, problem: Problem, known: Equations) -> Checked:
+    """What is free of plain servos and of the answered model is told without the fold of motions
+    that it is judged on; servos of a file are as they are.
+
+    Args:
+        answered: the model.
+        problem: the question.
+        known: the answered model's equations.
+    """
+    data, own = problem.data, answered.motions.data
+    by_log = problem.file is None or answered.by_file is not None
+    models = [
+        (data, _without_folds(data, problem.simple, None, problem)),
+        (own, _without_folds(own, answered.model, known, problem) if by_log else known.servos),
+    ]
     if problem.file is not None:
-        models.append((data, replace(problem.file.model, free={}, plane=False)))
-    held_out = [_held_out(*each, problem) for each in models]
+        models.append((data, problem.file.model.servos))
+    held_out = [_errors(*each) for each in models]
     commanded = (data.tracks.u - data.q) / data.scale
     ways = [
         Accuracy.of_joints(*(_rms(x).masked_fill(data.still, torch.nan) for x in pair))
         for pair in ((commanded, commanded), *held_out)
     ]
     before, after = held_out[-1 if len(held_out) > 2 else 0][0], held_out[1][0]
-    sums = _block_sums(data, held_out[0][0], before, after)[0]
     noise = problem.noise.square / data.scale.square()
     return Checked(
         commanded=ways[0],
@@ -93,26 +92,45 @@ def check(answered: Answered, problem: Problem) -> Checked:
         answered=ways[2],
         file=ways[3] if problem.file is not None else None,
         errors=(before, after),
-        falls=sums[:2] - sums[2],
         closed_ci95=closed_interval(data, before, after, ~data.still, noise),
     )
 
 
-def _held_out(
-    data: PositionData, model: ServoModel, problem: Problem
-) -> tuple[Float[Tensor, "T n"], Float[Tensor, "T n"]]:
-    """Errors of rows in whole motions and in windows [log's unit], each motion by servos that were
-    fitted without its fold."""
+def _without_folds(
+    data: PositionData, model: ServoModel, known: Equations | None, problem: Problem
+) -> Servos:
+    """Servos for each motion, told by those that are not of its fold: by their normal equations; or
+    fitted to them, where these are not known, or have nothing of a plane.
+
+    Args:
+        data: the motions.
+        model: fitted to all of them.
+        known: its equations.
+        problem: the question.
+    """
     few, folds = problem.few.windows, folds_of(len(data.tracks.first))
-    servos = []
+    each = []
     for fold in folds.unique().tolist():
-        others = few.some(torch.nonzero(folds[few.motion] != fold).flatten())
-        servos.append(model.fitted(Motions(data, others), 2, plane=True).servos)
-    joint, plane = (torch.stack([getattr(s, x) for s in servos]) for x in ("joint", "plane"))
+        if known is None or model.plane:
+            others = few.some(torch.nonzero(folds[few.motion] != fold).flatten())
+            each.append(model.fitted(Motions(data, others), 2, plane=True).servos)
+        else:
+            each.append(known.without(folds[: len(known.gram)] == fold))
+    joint, plane = (torch.stack([getattr(s, x) for s in each])[folds] for x in ("joint", "plane"))
+    return replace(model.servos, joint=joint, plane=plane)
+
+
+def _errors(data: PositionData, servos: Servos) -> tuple[Tensor, Tensor]:
+    """Errors (T, n) of rows in whole motions and in windows [log's unit], of servos of every motion
+    or of one set."""
     out = []
     for some in (windows_of(data.tracks, None), windows_of(data.tracks, WINDOW_S)):
-        of_window = folds[some.motion]
-        apart = replace(servos[0], joint=joint[of_window][:, None], plane=plane[of_window][:, None])
+        motion = some.motion if servos.joint.ndim == 3 else torch.zeros_like(some.motion)
+        joint, plane = (
+            servos.joint.reshape(-1, *servos.joint.shape[-2:]),
+            servos.plane.reshape(-1, 5),
+        )
+        apart = replace(servos, joint=joint[motion][:, None], plane=plane[motion][:, None])
         error = errors(data, apart, some)[..., 0]
         out.append(some.on_rows(error, torch.zeros_like(data.q)) / data.scale)
     return out[0], out[1]

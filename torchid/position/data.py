@@ -46,8 +46,8 @@ NO_STEP = 1e-9
 OUTWARDS = 3.0
 JAW = 0.3
 """Share of the link before that a jaw weighs at most [1]."""
-SHORTEST_S = 10.0
-"""Of less log no servo is told [s]."""
+SHORTEST_S = 6.0
+"""Shortest log that servos are sought in, of three windows [s]."""
 GRAVITY_ROWS = 200
 """That tell which links a joint carries [1]."""
 MOVES = 0.01

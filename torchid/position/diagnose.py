@@ -14,8 +14,8 @@ from dataclasses import replace
 import torch
 
 from torchid.log.model import Log
-from torchid.parallel.workers import Progress, in_shares
-from torchid.position.answered import Answered, as_the_file, best_answer
+from torchid.parallel.pace import Pace
+from torchid.position.answered import SEVERAL, Answered, as_the_file, best_answer
 from torchid.position.checked import check, errors_of_motions, errors_of_regimes
 from torchid.position.data import WINDOW_S, PositionData
 from torchid.position.diagnosis import PositionDiagnosis
@@ -41,12 +41,12 @@ from torchid.statistics.criteria import UNSURE_SCALE, WORTHWHILE
 from torchid.typing import Bool, Tensor
 
 STAGES = {
-    "a plain servo": 5, "one effect at a time": 41, "a load": 2, "gains, friction and delay": 2,
-    "profile": 6, "stops": 1, "plane": 1, "clip": 1, "speed": 1, "filter": 6, "integral action": 1,
-    "dead zone": 1, "scale of commands": 2, "all together": 4, "what each effect is worth": 8,
-    "how far it goes": 18,
+    "checking the log": 1, "a plain servo": 11, "one effect at a time": 33, "a load": 6, **SEVERAL,
+    "what each effect is worth": 11, "how far it goes": 8,
 }  # fmt: skip
-"""That are told as progress, with about the share of the time that each takes [%]."""
+"""That are told as progress, with about the share of the time that each takes [1]."""
+MUST = ("a plain servo", "what each effect is worth", "how far it goes")
+"""Those without which there is no answer."""
 
 
 def diagnose_positions(
@@ -59,7 +59,7 @@ def diagnose_positions(
     sheets: Sequence[Mapping[str, float]] = (),
     start: ServoArm | None = None,
     worthwhile: float = WORTHWHILE,
-    progress: Progress | None = None,
+    pace: Pace | None = None,
     watch: Callable[[Answer], None] | None = None,
 ) -> PositionDiagnosis:
     """Which causes part an arm's positions from its commands, and how far that goes.
@@ -76,7 +76,7 @@ def diagnose_positions(
         types: of the joints' servos: those of one name are units of one type.
         sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
-        progress: called with the stage, steps done and steps in all.
+        pace: hears which of `STAGES` begins, and says how much time there is.
         watch: called with an `Answer` of status `searching` whenever more is known.
 
     Returns:
@@ -86,12 +86,12 @@ def diagnose_positions(
         LogError: no commands, other joints than the robot's, uneven sampling, or too short a log.
     """
     robot.require_fixed_base("a diagnosis of positions")
-    begun, say = time.perf_counter(), in_shares(progress, STAGES)
-    say("a plain servo")
+    begun, pace = time.perf_counter(), pace or Pace(None, STAGES)
+    pace("a plain servo")
     problem = pose(robot, log, start, worthwhile)
     problem = replace(problem, trusted=trusted, types=types, sheets=sheets)
-    answered = as_the_file(problem) or best_answer(problem, say, watch)
-    say("how far it goes")
+    answered = as_the_file(problem) or best_answer(problem, pace, watch)
+    pace("how far it goes")
     answered, known, odd = _how_well_known(answered, problem)
     result = _described(answered, known, problem)
     if held_out is not None:
@@ -148,7 +148,7 @@ def _of_one_type(
 def _described(answered: Answered, known: Equations, problem: Problem) -> PositionDiagnosis:
     """The answer: where, which, how far, and what this log could not show."""
     data, servos, start = answered.motions.data, answered.model.servos, problem.start
-    checked, still = check(answered, problem), problem.data.still
+    checked, still = check(answered, problem, known), problem.data.still
     ratio_only, unanchored = _ratios_alone(answered, known, problem)
     unknown = still | ratio_only
     kp, std = servos.of("kp"), known.deviations()[:, known.names.index("kp")]

@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 import torch
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 
+from torchid.effects.registry import glosses
 from torchid.effects.servo import ServoEffect
 from torchid.position.data import PositionData
+from torchid.position.effects import experiment_of
 from torchid.position.judge import closed_share
 from torchid.position.model import ServoArm
 from torchid.position.nominal import NominalServo
@@ -34,7 +36,14 @@ from torchid.position.record import (
 )
 from torchid.position.repeats import PositionNoise
 from torchid.results.agreement import RunValue
-from torchid.results.answer import UNCHANGED, Answer, Diagnosis, JointError, NotTestable
+from torchid.results.answer import (
+    UNCHANGED,
+    Answer,
+    Diagnosis,
+    JointError,
+    NotTestable,
+    Stopped,
+)
 from torchid.results.cause import LEFT_OUT, Cause, JudgedOn
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
@@ -52,6 +61,11 @@ class Number(NamedTuple):
     value: float
     interval: tuple[float, float]
     was: float = math.nan
+
+    def holds(self, value: float, share: float = 1.0) -> bool:
+        """Whether its interval, or a share of it, holds another value."""
+        low, high = (self.value + share * (end - self.value) for end in self.interval)
+        return low <= value <= high
 
 
 def finding_of(
@@ -109,6 +123,7 @@ class PositionDiagnosis(Diagnosis):
             none.
         noise: what no servo closes, where repeats tell it.
         doubt: what speaks against the log, which the headline says first.
+        stopped_after: when the search was stopped for want of time; absent of a whole one.
     """
 
     data: PositionData
@@ -137,6 +152,7 @@ class PositionDiagnosis(Diagnosis):
     not_testable: tuple[NotTestable, ...] = ()
     closed_ci95: tuple[float, float] | None = None
     doubt: str = ""
+    stopped_after: Stopped | UnsetType = UNSET
 
     @property
     def _right_as_given(self) -> bool:
@@ -246,13 +262,14 @@ class PositionDiagnosis(Diagnosis):
             ),
             causes=tuple(sorted(self._named, key=lambda c: -c.share)),
             suspects=tuple(
-                msgspec.structs.replace(c, role="suspect")
+                msgspec.structs.replace(c, role="suspect", remedy=experiment_of(c.effect))
                 for c in every
                 if UNLIKELY <= (c.how_sure or 0.0) < LIKELY
             ),
             reason=small if self.status == "no_gap" else "" if self.file is None else plain,
             doubt=self.doubt or UNSET,
-        )
+            stopped=UNSET if self.stopped_after is UNSET else True,
+        ).explained_by(glosses)
 
     @cached_property
     def agreement(self) -> Rows[RunValue]:

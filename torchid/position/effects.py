@@ -40,7 +40,14 @@ def _effect(name: str) -> ServoEffect:
     kind = KINDS[name]
     meaning, remedy = _OFFSET if name == "torque_offset" else (kind.meaning, kind.remedy)
     return ServoEffect(
-        name, _FAMILIES[name], kind.servo, meaning, remedy, kind.equation, kind.experiment
+        name,
+        _FAMILIES[name],
+        kind.servo,
+        meaning,
+        remedy,
+        kind.equation,
+        kind.experiment,
+        gloss=kind.gloss,
     )
 
 
@@ -54,3 +61,8 @@ GAINS = tuple(
 BY_NAME = {effect.name: effect for effect in (*EFFECTS, *GAINS)}
 KEPT = ("command_delay", "torque_offset")
 """What is part of every model, named or not."""
+
+
+def experiment_of(name: str) -> str:
+    """The motion in which an effect of a servo, or of the robot, shows itself."""
+    return next(e for e in (*BY_NAME.values(), PAYLOAD, GRAVITY) if e.name == name).experiment

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -11,15 +12,14 @@ from torchid.effects.servo import ServoEffect
 from torchid.position.answered import Answered
 from torchid.position.checked import Checked
 from torchid.position.diagnosis import Number, finding_of
-from torchid.position.effects import BY_NAME, EFFECTS, GRAVITY, PAYLOAD
+from torchid.position.effects import BY_NAME, GRAVITY, PAYLOAD
 from torchid.position.equal import OF_TYPE
+from torchid.position.evidence import Evidence
 from torchid.position.fit import VALLEYS
 from torchid.position.judge import Equations, value_interval
-from torchid.position.odds import alike_rises, drawn_windows, effect_sure
 from torchid.position.payload import Loaded
 from torchid.position.problem import Problem
 from torchid.position.record import PositionFinding
-from torchid.results.agreement import Replication
 from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, as_share
 from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
@@ -45,6 +45,20 @@ class _Naming:
     checked: Checked
     shares: Bool[Tensor, " n"]
 
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What effects are held against."""
+        data = self.answered.motions.data
+        noise = self.problem.noise.at_least(data.slight)
+        left, whole = self.checked.left(noise / data.scale)
+        left = left * data.scale.square()
+        return Evidence(self.answered.motions, self.known, noise, left, whole)
+
+    def sure(self, effect: ServoEffect, joint: int | None, numbers: int, joints: int = 1) -> float:
+        """Probability of an effect; see `Evidence.sure`."""
+        worth = self.answered.worth[effect.name]
+        return self.evidence.sure(effect, joint, *worth, numbers, joints)
+
     def errors(self, effect: str) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
         """RMS errors (n,) in windows without an effect and with it [mrad of the log's unit]."""
         rows = float(len(self.answered.motions.data.tracks.u))
@@ -65,7 +79,7 @@ class _Naming:
             numbers = [Number(key, units.get(key, "m"), value, ends) for key, value in values]
         without, with_it = (float(x.square().mean().sqrt()) for x in self.errors(effect.name))
         others = self.answered.rivals.get((effect.name, None), ())
-        more = {"ambiguous_with": others, "how_sure": self.how_sure(effect, None, len(numbers))}
+        more = {"ambiguous_with": others, "how_sure": self.sure(effect, None, len(numbers))}
         return finding_of(effect, None, numbers, (without, with_it), **more)
 
     def of_joints(self, effect: ServoEffect) -> list[PositionFinding]:
@@ -76,7 +90,9 @@ class _Naming:
         first = effect.parameters[0]
         motions = list(zip(data.log.names, data.log.duration, strict=True))
         out = []
-        for j, alike in zip(joints, _alike(known, first, joints), strict=True):
+        # Of the bus, or of the servos' type, most joints' is one cause of them all.
+        most = first in OF_TYPE and 2 * len(joints) > int((~data.still).sum())
+        for j in joints:
             sizes = [
                 self.size(name, j)
                 for name in effect.parameters
@@ -91,7 +107,10 @@ class _Naming:
             if effect.twin and (below or not effect.twin_below):
                 others += (effect.twin,)
             changed = any(not math.isnan(size.was) for size in sizes)
-            sure = self.how_sure(effect, j, len(sizes), again, alike, changed)
+            sure = self.sure(effect, j, len(sizes), len(joints) if most else 1)
+            # Nor is an effect sure whose interval holds none of it.
+            if fitted and sizes[0].holds(PARAMETERS[INDEX[first]].neutral):
+                sure = min(sure, LIKELY - 0.01)
             # No change is whose interval holds what the robot's file says, and none at all which
             # is within half of it.
             if changed and not any(map(has_changed, sizes)):
@@ -101,43 +120,6 @@ class _Naming:
                 more["remedy"] = f"{effect.remedy[:-1]}, {IN_DEGREES}."
             out.append(finding_of(effect, j, sizes, (float(without[j]), float(with_it[j])), **more))
         return out
-
-    def how_sure(
-        self,
-        effect: ServoEffect,
-        joint: int | None,
-        numbers: int,
-        again: Replication | None = None,
-        alike: float = 0.0,
-        changed: bool = False,
-    ) -> float:
-        """Probability of an effect, by windows, and as far as motions that were left out confirm
-        it.
-
-        Args:
-            effect: which.
-            joint: where, from 0; None of what all feel.
-            numbers: how many it has.
-            again: by which factor motions want it.
-            alike: rise of it by other joints.
-            changed: whether the robot's file has it with another number.
-        """
-        problem, worth = self.problem, self.answered.worth[effect.name]
-        data, windows = self.answered.motions.data, problem.few.windows
-        at = slice(None) if joint is None else joint
-        # Losses that call for no cause, or are noise, where repeats tell it [rad^2].
-        least = windows.rows * problem.noise.at_least(data.slight).square()
-        rows = (windows.length * windows.weight)[:, None] / self.known.alike
-        without, with_it, rows = (x[:, at].reshape(len(x), -1) for x in (*worth, rows))
-        sure = effect_sure(
-            without.sum(1), with_it.sum(1), float(least[at].sum()), numbers, again,
-            rows=rows.mean(1), draws=drawn_windows(windows),
-            looks=len(EFFECTS) * data.robot.n, alike=alike,
-        )  # fmt: skip
-        # Of what all joints feel, the one where it takes most away says it.
-        gain = (worth[0] - worth[1]).sum(0)
-        place = int(gain.argmax()) if joint is None else joint
-        return sure * self.checked.confirmed(effect, place, changed)
 
     def size(self, name: str, joint: int) -> Number:
         """A number of an effect on one joint, of torques but the gain as a share of it if asked
@@ -211,19 +193,4 @@ def in_degrees(factor: float) -> bool:
 def has_changed(size: Number, share: float = 1.0) -> bool:
     """Whether the interval of a number, or a share of it, leaves out what the robot's file has; no,
     where it has none."""
-    low, high = (size.value + share * (end - size.value) for end in size.interval)
-    return not math.isnan(size.was) and not low <= size.was <= high
-
-
-def _alike(known: Equations, name: str, joints: Sequence[int]) -> list[float]:
-    """Rises of an effect on joints that have it, by a parameter that all servos of a type share,
-    torques as shares of kp."""
-    if name not in OF_TYPE or name not in known.names or not joints:
-        return [0.0] * len(joints)
-    every = torch.ones(known.servos.n, dtype=torch.bool)
-    value, std = known.servos.of(name), known.deviations(every)[:, known.names.index(name)]
-    if name in TORQUES:
-        value = value / known.servos.of("kp")
-    if PARAMETERS[INDEX[name]].kind == "log":
-        std = std * value
-    return alike_rises(value[joints], std[joints]).tolist()
+    return not math.isnan(size.was) and not size.holds(size.was, share)

@@ -264,7 +264,7 @@ def fit(
         steps = []
         for factor in DAMPINGS:
             extra = (damping * factor)[:, None] * gram.diagonal(dim1=1, dim2=2)
-            step = _step(gram + torch.diag_embed(extra), pull, here[:, at], positive)
+            step = bounded_step(gram + torch.diag_embed(extra), pull, here[:, at], positive)
             steps.append(torch.where(logs, step.clamp(-LONGEST, LONGEST), step))
         tried = here.repeat(len(DAMPINGS) + 1, 1, 1)
         tried[1:, :, at] += torch.stack(steps)
@@ -292,7 +292,7 @@ def fit(
     return servos
 
 
-def _step(
+def bounded_step(
     gram: Float[Tensor, "n K K"],
     pull: Float[Tensor, "n K"],
     here: Float[Tensor, "n K"],

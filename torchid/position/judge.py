@@ -16,7 +16,11 @@ from torch import Tensor
 
 from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
+    LONGEST,
+    VALLEYS,
+    bounded_step,
     mean_square,
+    moved,
     prior_deviations,
     prior_precision,
     searched,
@@ -73,6 +77,21 @@ class Equations:
     def prior(self) -> Float[Tensor, "n K"]:
         """Precision of what was expected."""
         return prior_precision(self.names, self.square, self.alike[:, None])
+
+    def without(self, gone: Bool[Tensor, " m"]) -> Servos:
+        """Servos as the other motions alone tell them: a step of Gauss-Newton, for which nothing is
+        simulated. Limits of set-points, over which no slope leads, stay."""
+        moves = self.mask & torch.tensor([name not in VALLEYS for name in self.names])
+        both = moves[:, :, None] & moves[:, None]
+        gram = self.gram[~gone].sum(0) + torch.diag_embed(self.prior)
+        gram = torch.where(both, gram, torch.eye(len(self.names), dtype=gram.dtype))
+        pull = torch.where(moves, self.pull[~gone].sum(0), 0.0)
+        tried, at = searched(self.servos), torch.tensor([INDEX[name] for name in self.names])
+        kinds = [PARAMETERS[k].kind for k in at.tolist()]
+        logs, positive = (torch.tensor([k == kind for k in kinds]) for kind in ("log", "positive"))
+        step = bounded_step(gram, pull, tried[:, at], positive)
+        tried[:, at] += torch.where(logs, step.clamp(-LONGEST, LONGEST), step)
+        return moved(self.servos, tried)
 
     def replication(
         self, name: str, joint: int, motions: Sequence[tuple[str, float]]

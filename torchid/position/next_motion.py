@@ -21,7 +21,8 @@ from torchid.excitation.clearance import Clearance
 from torchid.excitation.limits import position_limits
 from torchid.excitation.search import most_telling
 from torchid.log.model import Log
-from torchid.parallel.workers import Progress, in_shares
+from torchid.parallel.pace import Pace
+from torchid.parallel.workers import Progress
 from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import BY_NAME, CORE
@@ -160,7 +161,7 @@ def next_commands(
     arm = ServoArm(heavy, servos, torch.ones(n, dtype=torch.float64))
     still = torch.tensor([joint.never_moves for joint in found.where.joints])
     wanted = _candidates(robot, still, seconds, rate, usage)
-    say = in_shares(progress, {"motions within the limits": 50, "what they would tell": 50})
+    say = Pace(progress, {"motions within the limits": 50, "what they would tell": 50})
     say("motions within the limits")
     logs = _kept(arm, wanted, rate, usage, clearance)
     names, kept = list(logs), list(logs.values())

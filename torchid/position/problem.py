@@ -131,7 +131,7 @@ def with_motions(log: Log) -> tuple[Log, tuple[str, ...]]:
     parts = torch.arange(log.samples) * 4 // log.samples
     names = tuple(f"{log.names[0]}[part {k + 1}]" for k in range(4))
     return log.replace(trajectory=parts, names=names), (
-        "one motion only: its quarters are held out in turn, which are more alike than motions are",
+        "One motion only: its quarters are held out in turn, which are more alike than motions are",
     )
 
 
