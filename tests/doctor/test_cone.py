@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from torchid.doctor.cone import Normal, fit
+from torchid.doctor.cone import Columns, Normal, fit
+from torchid.doctor.hypothesis import minimum
 
 SUMS = ("gram", "cross", "square", "count")
 ROWS, JOINTS, PARAMETERS, UNKNOWNS = 40, 2, 12, 90
@@ -49,3 +50,30 @@ def test_blocks_and_all_others_together_are_all_rows(seed: int) -> None:
         sums, own = getattr(many, k), getattr(parts, k)
         assert np.array_equal(own[:2], sums[[3, 1]])
         assert np.allclose(own.sum(0), sums.sum(0))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_bodies_leave_less_than_what_each_joint_leaves_by_itself(seed: int) -> None:
+    normal, bodies = rows(seed)
+    # Rows with these products, as the columns of their roots.
+    columns = Columns(np.linalg.cholesky(normal.gram[0]).transpose(0, 2, 1))
+    bound = columns.least(normal)
+    assert (bound <= fit(normal, bodies).variance * (1 + 1e-9)).all()
+    # It is what plain least squares leave.
+    best = np.linalg.solve(normal.gram[0], normal.cross[0][..., None])[..., 0]
+    left = normal.square[0] - (normal.cross[0] * best).sum(-1)
+    assert bound == pytest.approx(left / ROWS, rel=1e-6)
+
+
+def test_a_grid_is_evaluated_only_where_its_lowest_point_may_be() -> None:
+    """The bound half a unit below the loss leaves three of nine points."""
+    asked = []
+
+    def loss(x: float) -> float:
+        asked.append(x)
+        return abs(x - 0.2)
+
+    grid = np.arange(-4.0, 5.0).tolist()
+    found = minimum(loss, grid, 0.05, lambda x: abs(x - 0.2) - 0.5)
+    assert found == minimum(lambda x: abs(x - 0.2), grid, 0.05)
+    assert {x for x in asked if x in grid} == {0.0}

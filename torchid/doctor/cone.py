@@ -10,6 +10,7 @@ is what makes signs and the direction of gravity decidable from a log alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -167,16 +168,55 @@ def fit(normal: Normal, bodies: np.ndarray, given: Weights = None, used: Unknown
     return Fit(x, variance, w * spread, used)
 
 
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What the torque of each joint is linear in.
+
+    Attributes:
+        rows: (n, T, P) regressor with each joint's own columns.
+    """
+
+    rows: np.ndarray
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """(n, P, P) products."""
+        return self.rows.transpose(0, 2, 1) @ self.rows
+
+    @cached_property
+    def _root(self) -> np.ndarray:
+        return _root_of(self.gram)
+
+    def least(self, normal: Normal) -> np.ndarray:
+        """(n,) mean squared errors that no parameters go below, of each joint's rows by themselves;
+        the rows are one block."""
+        scaled = zip(self._root, normal.cross[0] / _sizes(self.gram), strict=True)
+        known = [solve_triangular(root, c, lower=True, check_finite=False) for root, c in scaled]
+        left = normal.square[0] - np.square(known).sum(-1)
+        return np.maximum(left, 0.0) / np.maximum(normal.count[0], 1)
+
+
+def _root_of(gram: np.ndarray) -> np.ndarray:
+    """Lower triangular roots of products (.., P, P) of columns scaled to length one. What the rows
+    do not show has no unique answer: the least one."""
+    size = _sizes(gram)
+    scaled = gram / (size[..., :, None] * size[..., None, :])
+    return np.linalg.cholesky(scaled + _RIDGE * np.eye(gram.shape[-1]))
+
+
+def _sizes(gram: np.ndarray) -> np.ndarray:
+    """Lengths of columns (.., P); 1 of one that is zero."""
+    size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1))
+    return np.where(size > 0, size, 1.0)
+
+
 def _solve(
     gram: np.ndarray, cross: np.ndarray, matrix: np.ndarray, used: Unknowns
 ) -> tuple[np.ndarray, Unknowns]:
     """Parameters M u with u >= 0 that minimise x' G x - 2 c' x, and which u are not zero."""
     if not gram.any():
         return np.zeros(len(gram)), used
-    size = np.sqrt(np.diagonal(gram))
-    size = np.where(size > 0, size, 1.0)
-    # What the rows do not show has no unique answer: the least one.
-    root = np.linalg.cholesky(gram / np.outer(size, size) + _RIDGE * np.eye(len(gram)))
+    size, root = _sizes(gram), _root_of(gram)
     rows = root.T * size @ matrix
     target = solve_triangular(root, cross / size, lower=True)
     norm = np.linalg.norm(rows, axis=0)

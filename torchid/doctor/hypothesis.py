@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.cone import OWN, Fit, Normal, Unknowns, Weights, cone, fit, shares
+from torchid.doctor.cone import OWN, Columns, Fit, Normal, Unknowns, Weights, cone, fit, shares
 from torchid.doctor.repair import Map
 from torchid.doctor.samples import BLOCKS, MOVING, Samples, direction_of
 from torchid.dynamics.newton_euler import inverse_dynamics
@@ -94,7 +94,7 @@ class Judge:
         self.cone = cone(robot)
         self._used: Unknowns = ()
         self._scores: dict[tuple, Score] = {}
-        self._columns: dict[tuple, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._columns: dict[tuple, Columns] = {}
         self._expected: dict[tuple, Hypothesis] = {}
         self._rigid: dict[tuple, torch.Tensor] = {}
         self._torques: dict[float, np.ndarray] = {}
@@ -110,6 +110,13 @@ class Judge:
             self._scores[key] = Score(hypothesis, found, shares(found.variance, normal.spread))
         return self._scores[key]
 
+    def lower_bound(self, hypothesis: Hypothesis) -> float:
+        """A loss that no bodies go below, in a tenth of the time of their fit: what each joint by
+        itself leaves, whose parameters may be anything."""
+        normal = self.normal(hypothesis)
+        variance = self.columns(hypothesis).least(normal)
+        return float(np.log(shares(variance, normal.spread)).sum())
+
     def fit(self, normal: Normal, weights: Weights = None) -> Fit:
         """The best bodies for some rows, sought from those that the last rows had."""
         found = fit(normal, self.cone, weights, self._used)
@@ -119,19 +126,20 @@ class Judge:
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
         """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
         where a joint does not move."""
-        normal, rows = self.normal(hypothesis), []
+        normal, rows = self.normal(hypothesis, self.members), []
         for b in range(BLOCKS):
             found = self.fit(normal.without(b))
             error = shares(normal.mean_square(found.x)[b], normal.spread)
             rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
         return np.stack(rows)
 
-    def normal(self, hypothesis: Hypothesis, members: Sequence[Rows] = ()) -> Normal:
-        """Normal equations of the rows under a hypothesis, in blocks of time or those given, which
-        have all rows as well."""
-        a, gram, whole = self.columns(hypothesis)
-        gram = _products(a, members) if members else gram
-        members = members or self.members
+    def normal(self, hypothesis: Hypothesis, members: Sequence[Rows] | None = None) -> Normal:
+        """Normal equations of the rows under a hypothesis, in blocks that have all of them; None:
+        in one, whose products are kept."""
+        columns = self.columns(hypothesis)
+        a = columns.rows
+        gram = columns.gram[None] if members is None else _products(a, members)
+        members = [slice(None)] if members is None else members
         moving = self.moving(hypothesis)
         tau = self.torque(hypothesis) * moving
         cross = [(tau[m].T[:, None] @ a[:, m])[:, 0] for m in members]
@@ -141,7 +149,7 @@ class Judge:
         spread = (tau**2).sum(0) / rows - (tau.sum(0) / rows) ** 2
         dead = (spread < 1e-12 * max(1e-300, spread.max())) | (rows < FEWEST * BLOCKS)
         spread[dead] = 0.0
-        return Normal(gram, np.stack(cross), np.stack(square), counts, spread, whole)
+        return Normal(gram, np.stack(cross), np.stack(square), counts, spread, columns.gram)
 
     def torque(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) torque of the robot's joints."""
@@ -162,9 +170,8 @@ class Judge:
             moving[:, coupled] = self.motion(hypothesis)[:, coupled, 3].abs().numpy() > MOVING
         return moving
 
-    def columns(self, hypothesis: Hypothesis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(n, T, P) regressor with each joint's own columns, its (B, n, P, P) products, and their
-        sum over blocks."""
+    def columns(self, hypothesis: Hypothesis) -> Columns:
+        """Of the joints' rows under a hypothesis."""
         key = hypothesis.moved
         if key not in self._columns:
             if len(self._columns) > 6:
@@ -176,8 +183,7 @@ class Judge:
                 a[i, :, :links] = rigid[:, i]
                 a[i, :, links + OWN * i : links + OWN * (i + 1)] = own[:, i]
             a *= self.moving(hypothesis).T[..., None]
-            gram = _products(a, self.members)
-            self._columns[key] = (a, gram, gram.sum(0))
+            self._columns[key] = Columns(a)
         return self._columns[key]
 
     def expect(self, hypotheses: Iterable[Hypothesis]) -> None:
@@ -269,7 +275,7 @@ def profile(
 
     best = minimum(loss, (*grid, start), step)
     values = (best - step, best, best + step)
-    normals = [judge.normal(family(x)) for x in values]
+    normals = [judge.normal(family(x), judge.members) for x in values]
     weights = judge.fit(normals[1]).weights
     estimates = []
     for b in range(BLOCKS):
@@ -281,9 +287,18 @@ def profile(
     return Profile(best, low, high, loss(start) - loss(best))
 
 
-def minimum(loss: Callable[[float], float], grid: Sequence[float], step: float) -> float:
-    """The lowest point of a grid, refined by three parabolas through points `step` apart."""
-    at = {x: loss(x) for x in grid}
+def minimum(
+    loss: Callable[[float], float],
+    grid: Sequence[float],
+    step: float,
+    bound: Callable[[float], float] = lambda x: -np.inf,
+) -> float:
+    """The lowest point of a grid, refined by three parabolas through points `step` apart; `bound`
+    is what the loss does not go below."""
+    bounds, at = {x: bound(x) for x in grid}, dict[float, float]()
+    for x in sorted(grid, key=lambda x: bounds[x]):
+        if bounds[x] < min(at.values(), default=np.inf):
+            at[x] = loss(x)
     best = min(at, key=lambda x: at[x])
     for _ in range(3):
         values = (best - step, best, best + step)

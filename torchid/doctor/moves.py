@@ -175,7 +175,7 @@ def _orders(judge: Judge, now: Hypothesis, kind: str, q: bool, tau: bool) -> Ite
 
 def _assigned(judge: Judge, now: Hypothesis) -> tuple[int, ...]:
     """The order of the torque columns that single joints' rows, each by itself, explain best."""
-    a, *_ = judge.columns(now)
+    a = judge.columns(now).rows
     tau, moving, n = judge.torque(now), judge.moving(now), judge.robot.n
     scale = np.where(tau.std(0) > 0, tau.std(0), 1.0)
     errors = np.ones((n, n))
@@ -250,8 +250,11 @@ def _units(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     def loss(log_factor: float) -> float:
         return judge.score(now.scaled(turning, q=math.exp(log_factor)), weights).loss
 
+    def bound(log_factor: float) -> float:
+        return judge.lower_bound(now.scaled(turning, q=math.exp(log_factor)))
+
     judge.expect(now.scaled(turning, q=math.exp(x)) for x in SCALES)
-    best = minimum(loss, SCALES, step=0.05)
+    best = minimum(loss, SCALES, 0.05, bound)
     if abs(best) > math.log(LEAST_GAIN):
         named = (x for x in _TURNS if abs(math.log(x) - best) < _NEAR_UNIT)
         yield _scaled("position unit", now, turning, q=next(named, math.exp(best)))

@@ -119,6 +119,10 @@ def _greedy(
         judge.expect(m.after for m in tried)
         looked = []
         for m in tried:
+            # Most are out of the question whatever bodies there may be.
+            if (bound := judge.lower_bound(m.after) - base.loss) >= CLEAR_GAIN:
+                looked.append((bound, m))
+                continue
             # With the weights of the present fit, then properly where it is near that or below.
             loss = judge.score(m.after, base.fit.weights).loss
             loss = judge.score(m.after).loss if loss < base.loss + _LOOK else loss

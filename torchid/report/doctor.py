@@ -59,9 +59,9 @@ def torque_figure(examination: Examination) -> Figure | None:
     if judge is None or search is None:
         return None
     end = search.final.hypothesis
-    columns, *_ = judge.columns(end)
+    rows = judge.columns(end).rows
     measured, moving = judge.torque(end), judge.moving(end)
-    explained = np.where(moving, (columns @ search.final.fit.x).T, np.nan)
+    explained = np.where(moving, (rows @ search.final.fit.x).T, np.nan)
     n, x = examination.robot.n, "low-passed samples, all trajectories"
     figure, grid = joint_rows(n, ("",), (10, 0.8 + 1.3 * n), x=x)
     for k, axes in enumerate(grid[:, 0]):
