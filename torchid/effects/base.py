@@ -90,6 +90,7 @@ class Effect(ABC):
         detail: what it says of its joint's friction law, in plain words; of friction alone.
         coefficients: what it is linear in.
         shapes: what it is not; each is also a field of the instance.
+        gloss: what its name says, in a few plain words; empty where it is everybody's.
         meaning: what it is physically, one sentence.
         equation: torque that it adds, in the names of its coefficients and shapes. `Y_i` are the
             columns of link i in the regressor (eq. 2.18), `tau(..)` is the model's torque, `e_j`
@@ -133,6 +134,7 @@ class Effect(ABC):
     detail: ClassVar[str] = ""
     coefficients: ClassVar[tuple[Coefficient, ...]]
     shapes: ClassVar[tuple[Shape, ...]] = ()
+    gloss: ClassVar[str] = ""
     meaning: ClassVar[str]
     equation: ClassVar[str]
     signature: ClassVar[str]
@@ -220,6 +222,18 @@ class Effect(ABC):
         """Least and largest that each coefficient can be: on any arm, unless the columns are those
         of one size alone."""
         return tuple(c.range for c in self.coefficients)
+
+    def body(self, robot: "Robot") -> int | None:
+        """Link, from 0, to whose inertial parameters its coefficients are added; None of what is no
+        body."""
+        return None
+
+    def own_columns(
+        self, motion: Motion, robot: "Robot | None" = None
+    ) -> list[Float[Tensor, "*batch C"]]:
+        """Columns (..., C) of the torque of each of its joints, in the order of `joints`."""
+        columns = self.torque_columns(motion, robot)
+        return [columns[..., j, :] for j in self.joints]
 
     def unsure(self, values: Sequence[float]) -> list[float]:
         """By how much coefficients are less sure than a fit of its columns says: nothing, unless
@@ -380,6 +394,12 @@ class JointEffect(Effect):
             for v in self.shape_values
         )
         return self.formula(motion, *shapes)[..., self.joint, :]
+
+    def own_columns(
+        self, motion: Motion, robot: "Robot | None" = None
+    ) -> list[Float[Tensor, "*batch C"]]:
+        """Those of its joint."""
+        return [self.columns(motion)]
 
     def torque_columns(self, motion: Motion, robot: "Robot | None" = None) -> Columns:
         """Torque of all joints per unit coefficient (..., n, C): zero but for the own joint."""

@@ -28,6 +28,7 @@ class BearingMomentFriction(OneJointEffect):
     jumps = True
     of_bodies = True
     coefficients = (ArmCoefficient("mu_m", "1", True, "friction per bending moment", 0.5),)
+    gloss = "friction that grows with the tilting moment of the load"
     meaning = "The bearing is tilted by a bending moment, and its friction grows with that moment."
     equation = "mu_m |m_across| sgn(dq), m the joint's internal moment"
     signature = "a step at reversals that grows with the arm's reach, also about a vertical axis"
@@ -74,6 +75,7 @@ class AxialLoadFriction(BearingMomentFriction):
     coefficients = (
         ArmCoefficient("r_a", "m", True, "friction per axial force: mu times radius", 0.1),
     )
+    gloss = "friction that grows with the force along the joint's axis"
     meaning = "A thrust bearing carries the weight along the axis, and its friction grows with it."
     equation = "r_a |f_axial| sgn(dq), f the joint's internal force"
     signature = "a step at reversals that follows the force along the axis"

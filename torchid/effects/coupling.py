@@ -52,6 +52,7 @@ class GearCoupling(JointPairEffect):
             logarithmic=False,
         ),
     )
+    gloss = "one motor turns two joints"
     meaning = "A wrist motor drives its joint through another, so it turns with both."
     equation = (
         "on j: Iam ratio ddq_i + Fvm ratio dq_i + Fcm (sgn(w) - sgn(dq_j));  "

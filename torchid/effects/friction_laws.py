@@ -99,6 +99,7 @@ class StribeckFriction(JointEffect):
     )
     servo = ("stiction", "stribeck_speed")
     positions = True
+    gloss = "more friction at low speed"
     meaning = "At low speed the lubricant film breaks down, so friction is higher than at speed."
     equation = "Fs exp(-|dq/vs|^d) sgn(dq)"
     signature = "friction in excess at low speed, gone at a few vs"

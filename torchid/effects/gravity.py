@@ -153,6 +153,7 @@ class TorqueCrosstalk(TorqueShare, JointPairEffect):
     coefficients = (
         Coefficient("C", "1", False, "share of the source joint's torque that is read", 0.9),
     )
+    gloss = "load on one joint shows on another's sensor"
     meaning = "Load on one joint deforms the torque sensor of another."
     equation = "C tau_i with i the source_joint"
     signature = "follows another joint's torque"

@@ -42,6 +42,7 @@ class PreslidingHysteresis(JointEffect):
             "length", "rad", 0.001, 1.0, (0.01, 0.02, 0.045, 0.1, 0.2, 0.4), "presliding distance"
         ),
     )
+    gloss = "friction that builds up before the joint slides"
     meaning = (
         "Contacts in gear and bearings, and cables, deflect before they slide: a loop in the "
         "torque over position after each reversal."
@@ -131,6 +132,7 @@ class LoadHysteresis(PreslidingHysteresis):
     coefficients = (
         Coefficient("mu_h", "1", True, "friction per torque when the bristles slide", 0.5),
     )
+    gloss = "a friction loop that widens with load"
     meaning = "Teeth under load deflect before they slide: a loop that is wider under more torque."
     equation = "mu_h |tau| z with dz/dt = (dq - |dq| z)/length"
     signature = "a loop over position after each reversal, in proportion to the torque"

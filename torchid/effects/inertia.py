@@ -48,6 +48,10 @@ class BodyEffect(ModelEffect):
         """Index of the link, from 0."""
         return robot.n_links - 1
 
+    def body(self, robot: Robot) -> int | None:
+        """Its link."""
+        return self.link(robot)
+
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:
         """The link's columns of the regressor (T, n, 10)."""
         arm = needed(robot, self.name)

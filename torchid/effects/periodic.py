@@ -119,6 +119,7 @@ class Cogging(Wave):
     )
     first = 3
     most = 120
+    gloss = "torque that ripples over position"
     meaning = (
         "Magnets pull towards slots, and gear teeth mesh unevenly: torque ripples with position."
     )

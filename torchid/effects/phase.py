@@ -104,6 +104,7 @@ class FilterLag(ModelEffect):
     coefficients = (
         Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),
     )
+    gloss = "dq is late"
     meaning = "The controller's velocity filter delays dq and what follows from it."
     equation = "tau(q, dq(t + lag), ddq(t + lag)) - tau(q, dq, ddq)"
     signature = "a phase of velocity and acceleration alone, on all joints; moves with the cut-off"

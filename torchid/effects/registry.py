@@ -27,6 +27,7 @@ from torchid.effects import (
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.inertia import BodyEffect
 from torchid.effects.names import NAMES, PLACES, require_effects
+from torchid.effects.servo import SERVO_KINDS, ServoEffect
 from torchid.errors import RobotError, TorchidError
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import number
@@ -61,6 +62,13 @@ EVENTS = tuple(name for name, kind in KINDS.items() if kind.event)
 
 Valued = tuple[Effect, list[float]]
 """An effect and its coefficients."""
+
+
+def glosses(names: Iterable[str]) -> dict[str, str]:
+    """What names of effects say that are not everybody's."""
+    kinds: dict[str, type[Effect] | ServoEffect] = {**SERVO_KINDS, **KINDS}
+    every = ((name, kinds[name].gloss) for name in dict.fromkeys(names) if name in kinds)
+    return {name: gloss for name, gloss in every if gloss}
 
 
 def effect_kind(name: str) -> type[Effect]:

@@ -17,6 +17,7 @@ class ServoEffect:
         parameters: of `torchid.simulation.servo.PARAMETERS` that it needs, the one that gives its
             size first.
         meaning, remedy: one sentence each.
+        gloss: what its name says, in a few plain words; empty where it is everybody's.
         equation: in the names of the parameters; u is the command, x the set-point, e = x - q.
         experiment: the motion in which it shows itself.
         twin: a cause that is not looked for, because no log of commands and positions separates it
@@ -33,6 +34,7 @@ class ServoEffect:
     experiment: str = ""
     twin: str = ""
     twin_below: bool = False
+    gloss: str = ""
 
 
 _EVERY = (
@@ -47,11 +49,12 @@ _EVERY = (
         "The servo follows a set-point of limited acceleration, not the command.",
         "Put the profile before the position controller.",
         "|ddx| <= acceleration", "send steps of several sizes",
+        gloss="the servo limits its own acceleration",
     ),
     ServoEffect(
         "set_point_speed", "command", ("speed",),
         "The set-point's speed is limited.", "Limit the command's rate.",
-        "|dx| <= speed", "send large steps",
+        "|dx| <= speed", "send large steps", gloss="the servo limits its own speed",
     ),
     ServoEffect(
         "command_filter", "command", ("lag",),

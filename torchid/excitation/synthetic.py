@@ -122,7 +122,7 @@ def simulate(
     if not (own or closed_loop):
         if rate is not None or controller is not None:
             raise TorchidError(
-                "a rate and a controller need motion under control.",
+                "`rate=...` and a controller need motion under control.",
                 expected="effects, or `closed_loop=True`",
             )
         return synthetic_log(robot, motion, noise, seed, device=device)

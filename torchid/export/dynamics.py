@@ -7,7 +7,6 @@ from typing import Any, Literal
 import torch
 
 from torchid.effects.base import Effect, Motion
-from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, carrying, model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.identification.values import BaseValues
@@ -109,8 +108,8 @@ def folded_robot(robot: Robot) -> Robot:
     """The robot with effects that are bodies (a payload, links' missing inertia) put into its
     parameters, where no other effect is taken from the model's own."""
     pairs = nominal_effects(robot)
-    bodies = [(e, values) for e, values in pairs if isinstance(e, BodyEffect)]
-    others = [(e, values) for e, values in pairs if not isinstance(e, BodyEffect)]
+    bodies = [(e, values) for e, values in pairs if e.inertial]
+    others = [(e, values) for e, values in pairs if not e.inertial]
     if not bodies or any("robot" in effect.needs for effect, _ in others):
         return robot
     return replace(carrying(robot, bodies), effects=records(others))

@@ -13,9 +13,8 @@ import torch
 
 from torchid.design.columns import Columns, Model
 from torchid.effects.base import Effect
-from torchid.effects.friction import ViscousFriction
+from torchid.effects.friction import TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import PowerLawFriction, StribeckFriction
-from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.effects.spring import JointSpring
 from torchid.export.dynamics import folded_robot, records
@@ -40,14 +39,8 @@ from torchid.simulators.joint_dynamics import CURVES, Target, attributes_in, kin
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Tensor
 
-WORDS = {
-    "viscous_friction": "damping",
-    "coulomb_friction": "frictionloss",
-    "rotor_inertia": "armature",
-    "joint_spring": "stiffness",
-    "power_law_friction": "damping",
-}
-"""How the files call it; a URDF calls the second one friction."""
+WORDS = {"friction": "frictionloss"} | dict.fromkeys(CURVES.values(), "damping")
+"""How the files call what `JointDynamics` calls otherwise; a URDF says friction, too."""
 
 WORTH = 0.02
 """Share of the error that springs must take away to be in the file (a body's weight is one, too),
@@ -144,7 +137,7 @@ class Projector:
         believable."""
         beyond: list[list[Effect]] = []
         if self.to == "mjcf":
-            constant = ("joint_spring", "torque_offset")
+            constant = (JointSpring.name, TorqueOffset.name)
             at = {j for e, _ in effects if e.name in constant for j in e.joints}
             curved = {e.joint for e, _ in effects if isinstance(e, _CURVED)} - {*self.data.silent}
             curves = [PowerLawFriction(j, a) for j in sorted(curved) for a in CURVES]
@@ -231,7 +224,7 @@ class Projector:
         the file at run time, and those in the torque sensors as they were diagnosed."""
         others, sensed = [], []
         for effect, values in nominal_effects(self.full):
-            if isinstance(effect, BodyEffect) or not runs(self.full, effect, values):
+            if effect.inertial or not runs(self.full, effect, values):
                 continue
             if changes_measurement(effect):
                 sensed.append((effect, values))
@@ -254,6 +247,12 @@ class Projector:
         own = [*self.fields, *(given for given, _ in self.given)]
         known = attributes_in(self.to, effect, values) is not None
         return known and any(f.identity == effect.identity for f in own)
+
+    def _word(self, field: Effect) -> str:
+        """How the file calls what a field of it is."""
+        said = attributes_in(self.to, field, [1.0] * len(field.coefficients))
+        name = next(iter(said or ()))
+        return WORDS.get(name, name)
 
     def _robot(self, fields: Sequence[Effect], found: NearBodies) -> Robot:
         """Nominal kinematics, fitted bodies, and fields that carry anything."""
@@ -289,7 +288,7 @@ class Projector:
         # Equal effects of several joints are one: a gain of all currents.
         alike: dict[tuple[object, ...], list[Valued]] = {}
         for effect, values in nominal_effects(self.full):
-            if not isinstance(effect, BodyEffect) and not self._has_field(effect, values):
+            if not effect.inertial and not self._has_field(effect, values):
                 key = (effect.name, tuple(values), effect.shape_values)
                 alike.setdefault(key, []).append((effect, values))
         matrix, bodies = self._matrix(self.fields), PARAMETERS_PER_LINK * self.nominal.n_links
@@ -297,7 +296,7 @@ class Projector:
         # Coefficients of each field of the file.
         groups: dict[tuple[str, int], list[int]] = {}
         for k, f in enumerate([field for field in self.fields for _ in field.coefficients]):
-            groups.setdefault((WORDS[f.name], f.joints[0]), []).append(k)
+            groups.setdefault((self._word(f), f.joints[0]), []).append(k)
         counts = self.data.keep.sum(1).clamp(min=1)
         out = []
         for pairs in alike.values():

@@ -18,8 +18,8 @@ import torch
 
 from torchid.design.bodies import INSIDE, usual_bodies
 from torchid.dynamics.regressor import regressor
-from torchid.effects.inertia import BodyEffect, LinkInertia
-from torchid.effects.registry import Valued, nominal_effects
+from torchid.effects.inertia import LinkInertia
+from torchid.effects.registry import Valued, carrying, nominal_effects
 from torchid.errors import TorchidError
 from torchid.export.drawn_from import DrawnFrom, of_diagnosis, of_model
 from torchid.export.dynamics import random_states, records
@@ -174,12 +174,12 @@ class _Explained:
         robot, known = model, dict[tuple[str, str], tuple[int, int | None]]()
         for link in range(model.n_links):
             names = LinkInertia(link).coefficient_names()
-            known |= {("link_inertia", x): (10 * link + k, None) for k, x in enumerate(names)}
+            known |= {(LinkInertia.name, x): (10 * link + k, None) for k, x in enumerate(names)}
         for effect, values in pairs:
             own = [(effect.name, name) for name in effect.coefficient_names()]
-            if isinstance(effect, BodyEffect):
-                robot = effect.plant(robot, values)
-                first = PARAMETERS_PER_LINK * effect.link(model)
+            if (own_link := effect.body(model)) is not None:
+                robot = carrying(robot, [(effect, values)])
+                first = PARAMETERS_PER_LINK * own_link
                 known |= {key: (first + k, None) for k, key in enumerate(own)}
             else:
                 known |= {key: (len(others), k) for k, key in enumerate(own)}

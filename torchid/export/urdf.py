@@ -11,7 +11,6 @@ import torch
 from lxml.etree import Element, SubElement, indent
 
 from torchid.digits import number
-from torchid.effects.inertia import BodyEffect
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.xml_tree import (
@@ -150,9 +149,9 @@ def in_joint_frames(pairs: Sequence[Valued], robot: Robot) -> tuple[Valued, ...]
     out: list[Valued] = []
     for effect, values in pairs:
         moved = values
-        if isinstance(effect, BodyEffect):
+        if (link := effect.body(robot)) is not None:
             pi = torch.tensor(values, dtype=torch.float64)
-            moved = move(pi, robot.after[effect.link(robot)].double()).tolist()
+            moved = move(pi, robot.after[link].double()).tolist()
         out.append((effect, moved))
     return tuple(out)
 

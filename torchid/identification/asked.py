@@ -20,7 +20,7 @@ from torchid.effects.registry import effect_from_record, fitted_kind
 from torchid.effects.written import name_and_pairs
 from torchid.errors import TorchidError
 from torchid.identification.least_squares import Fit
-from torchid.identification.rows import RowSource, own_columns, sampled
+from torchid.identification.rows import RowSource, sampled
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
@@ -40,8 +40,7 @@ class Asked:
     @property
     def plain(self) -> bool:
         """Whether its columns are known, and functions of the present motion alone."""
-        remembers = isinstance(self.effect, JointEffect) and self.effect.memory
-        return not (self.searched or self.effect.needs or remembers)
+        return not (self.searched or self.effect.needs or self.effect.over_time)
 
 
 def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
@@ -62,12 +61,13 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
         raise TorchidError(
             "an effect is named twice.", got=f"{name} of {where}", expected="each place once"
         )
-    if sum(a.effect.name == "torque_gain" for a in found) == len(robot.driven):
+    gains = [a.effect.name for a in found if a.effect.scale_of_torque]
+    if len(gains) == len(robot.driven):
         raise TorchidError(
             "torque gains of all joints cannot be identified: a gain that they share is the same "
             "as heavier bodies.",
-            got=f"torque_gain on all {robot.n} joints",
-            expected="torque_gain:joint=J, and one joint at least whose torque is trusted",
+            got=f"{gains[0]} on all {robot.n} joints",
+            expected=f"{gains[0]}:joint=J, and one joint at least whose torque is trusted",
         )
     return tuple(found)
 
@@ -203,7 +203,7 @@ class _Rows:
 
     def of(self, effect: Effect) -> dict[int, Float[Tensor, "I C"]]:
         """Columns of an effect by joint."""
-        parts = [own_columns(effect, motion) for motion in self.motions]
+        parts = [effect.own_columns(motion) for motion in self.motions]
         return {
             j: sampled(self.measured, [p[k].T for p in parts]).cpu().T * self._weight[j, :, None]
             for k, j in enumerate(effect.joints)

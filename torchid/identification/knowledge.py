@@ -7,7 +7,6 @@ import torch
 
 from torchid.design.columns import Columns
 from torchid.effects.base import Effect
-from torchid.effects.inertia import BodyEffect, LinkInertia, Payload
 from torchid.effects.registry import KINDS, Valued, carrying, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.least_squares import orthonormal
@@ -106,9 +105,7 @@ def learned(
     parts = [columns.regressor.flatten(0, 1)[base.by_link]]
     robot = columns.model.robot
     parts += [
-        columns.regressor[e.link(robot)]
-        if isinstance(e, Payload | LinkInertia)
-        else columns.on_all_joints(e)
+        columns.on_all_joints(e) if (link := e.body(robot)) is None else columns.regressor[link]
         for e in effects
     ]
     a = torch.cat(parts) * keep
@@ -211,14 +208,15 @@ def whole_arm(robot: Robot) -> Robot:
     """The arm whose links are with the bodies among its effects, of which a log tells no more than
     their sums: another load or link is told beside them."""
     effects = nominal_effects(robot)
-    bodies = [(e, v) for e, v in effects if isinstance(e, BodyEffect)]
+    bodies = [(e, v) for e, v in effects if e.inertial]
     if not bodies or robot.parameters is None:
         return robot
     known = robot.knowledge
     for effect, _ in bodies:
         names = known_names(effect)
-        if known is not None and set(names) <= set(known.coefficients):
-            known = known.merged(names, effect.link(robot))
+        link = effect.body(robot)
+        if known is not None and link is not None and set(names) <= set(known.coefficients):
+            known = known.merged(names, link)
     rest = tuple(e.record(v) for e, v in effects if not e.inertial)
     return replace(carrying(robot, bodies), effects=rest, knowledge=known)
 

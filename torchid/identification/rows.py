@@ -346,14 +346,6 @@ def sampled(
     return torch.cat(out, -1)
 
 
-def own_columns(effect: Effect, motion: Motion) -> list[Float[Tensor, "T C"]]:
-    """Columns of an effect in the torque of each of its joints, in the order of `joints`."""
-    if isinstance(effect, JointEffect):
-        return [effect.columns(motion)]
-    columns = effect.torque_columns(motion)
-    return [columns[:, j] for j in effect.joints]
-
-
 def _smooth_columns(
     motions: Sequence[Motion], layout: Layout
 ) -> Iterator[tuple[Float[Tensor, "C _"], ...]]:
@@ -389,7 +381,7 @@ def _sharp_columns(
     # Once for all joints.
     motion = motion._replace(direction=None if motion.direction is None else motion.sign)
     made = [
-        [] if isinstance(e, LINEAR) else [whole[e]] if e in whole else own_columns(e, motion)
+        [] if isinstance(e, LINEAR) else [whole[e]] if e in whole else e.own_columns(motion)
         for e in layout.effects
     ]
     for i, own in enumerate(layout.own):

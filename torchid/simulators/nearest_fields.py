@@ -13,7 +13,6 @@ from scipy.optimize import lsq_linear
 
 from torchid.design.columns import Columns
 from torchid.design.segments import moving_samples
-from torchid.effects.inertia import BodyEffect
 from torchid.effects.spring import JointSpring
 from torchid.results.record import Joint, Part, Real
 from torchid.simulation.loads import changes_measurement
@@ -55,7 +54,7 @@ def nearest_fields(columns: Columns, to: Target) -> tuple[NearestFields, ...]:
     joints, rest = split(columns.model.robot, to)
     torques: dict[str, Tensor] = {}
     for effect, values in rest:
-        if not (isinstance(effect, BodyEffect) or effect.event or effect.of_sensor
+        if not (effect.inertial or effect.event or effect.of_sensor
                 or changes_measurement(effect)):  # fmt: skip
             torque = columns.torque(effect, values)
             torques[effect.name] = torques.get(effect.name, 0.0) + torque
