@@ -31,19 +31,21 @@ class Cluster:
         self.running: list[subprocess.Popen[bytes]] = []
 
     def start(self) -> None:
-        commands = (
-            ("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard"),
-            ("worker", self.address, "--nthreads", "1", "--no-dashboard", "--no-nanny"),
-        )
-        for command in commands:
-            self.running.append(
-                subprocess.Popen(
-                    [sys.executable, "-m", "dask", *command],
-                    env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.getcwd()},
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                )
+        self._run("scheduler", "--host", "127.0.0.1", "--port", str(self.port))
+        self.start_worker()
+
+    def start_worker(self) -> None:
+        self._run("worker", self.address, "--nthreads", "1", "--no-nanny")
+
+    def _run(self, *command: str) -> None:
+        self.running.append(
+            subprocess.Popen(
+                [sys.executable, "-m", "dask", *command, "--no-dashboard"],
+                env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.getcwd()},
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
             )
+        )
 
     def kill(self) -> None:
         for process in self.running:

@@ -9,31 +9,33 @@ parts; a number of positions alone needs a set of `--kind position`. The cases a
 their keys are read.
 """
 
-import argparse
 import importlib
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from torchid_bench.benchmarks.runner import command, results, table
 
 FACTORS = 0.5, 2.0
 HEADINGS = "number", "default", "factor", "names", "how sure", "right", "alarms", "for sure wrong"
 
 
-def answer_all(cases: Path, number: str, factor: float, count: int | None, folder: Path) -> None:
-    """Diagnose cases with one number changed, in this process; answers go to a folder."""
+def answer_all(
+    cases: Path, number: str, factor: float, count: int | None, folder: Path
+) -> dict[str, Any]:
+    """Figures of cases that are diagnosed with one number changed, in this process; answers go to a
+    folder."""
     criteria = importlib.import_module("torchid.statistics.criteria")
     changed = _changed(getattr(criteria, number), factor) if number != "none" else None
     if changed is not None:
         setattr(criteria, number, changed)
-    from torchid_bench.withheld.case_set import read_cases
+    from torchid_bench.withheld.case_set import keys_beside, read_cases, read_keys
     from torchid_bench.withheld.run import job_of, run
 
     found = read_cases(cases)
     folder.mkdir(parents=True, exist_ok=True)
     jobs = [job_of(found, case, folder / f"{case}.json") for case in found.ids[:count]]
-    run(jobs, again=True)
+    return figures(read_keys(found, keys_beside(cases))[:count], run(jobs, again=True))
 
 
 def _changed(value: float, factor: float) -> float:
@@ -52,6 +54,7 @@ def figures(keys: Sequence[Mapping[str, Any]], answers: Mapping[str, Any]) -> di
     cases = [scored_case(key, answers[key["id"]]) for key in keys if key["id"] in answers]
     quiet = [c for c in cases if c.kind in ("none", "parameters")]
     return {
+        "count": len(cases),
         "right": sum(is_right(c.kind, c.row) for c in cases),
         "alarms": sum(any(claim.structural for claim in c.row.claims) for c in quiet),
         "for_sure_wrong": sum(
@@ -78,61 +81,35 @@ def row(number: str, value: float, factor: float, one: Mapping, plain: Mapping) 
     return number, f"{value:.3g}", f"{factor:g}", f"{renamed}", moved, *counts
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("cases", type=Path)
-    parser.add_argument("--numbers", nargs="+")
-    parser.add_argument("--count", type=int, help="first cases alone")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="the table, as Markdown")
-    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.one:
-        number, factor, folder = given.one
-        answer_all(given.cases, number, float(factor), given.count, Path(folder))
-        return
-    beside = given.cases.parent / f"{given.cases.name}.criteria"
-
+def main(
+    cases: Path,
+    *,
+    numbers: Sequence[str] = (),
+    count: int | None = None,
+    jobs: int = 1,
+    out: Path | None = None,
+) -> None:
+    """Change numbers (all) in the first cases (all), and write the table."""
+    beside = cases.parent / f"{cases.name}.criteria"
     # Numbers are read from the file, whose import imports nothing else.
     criteria = importlib.import_module("torchid.statistics.criteria")
-    numbers = given.numbers or [name for name in vars(criteria) if name.isupper()]
-    variants = [("none", 1.0), *((n, f) for n in numbers for f in FACTORS)]
-    running: list[subprocess.Popen] = []
-    for number, factor in variants:
-        while len(running) >= given.jobs:
-            if running.pop(0).wait():
-                raise SystemExit("a process failed")
-        command = [sys.executable, __file__, str(given.cases)]
-        command += ["--one", number, str(factor), str(beside / f"{number}-{factor:g}")]
-        command += ["--count", str(given.count)] if given.count else []
-        running.append(subprocess.Popen(command))
-    if sum(one.wait() != 0 for one in running):
-        raise SystemExit("a process failed")
+    asked = numbers or [name for name in vars(criteria) if name.isupper()]
+    variants = {"none-1": ("none", 1.0)} | {f"{n}-{f:g}": (n, f) for n in asked for f in FACTORS}
+    todo = {name: (cases, *of, count, beside / name) for name, of in variants.items()}
+    found = dict(results(answer_all, todo, jobs=jobs, fresh=True))
 
-    from torchid.json_data import read_json
-    from torchid.report.table import pipe_table
-    from torchid_bench.withheld.case_set import keys_beside, read_cases, read_keys
-
-    found = read_cases(given.cases)
-    keys = read_keys(found, keys_beside(given.cases))[: given.count]
-
-    def counted(number: str, factor: float) -> dict[str, Any]:
-        folder = beside / f"{number}-{factor:g}"
-        return figures(
-            keys, {k["id"]: read_json(folder / f"{k['id']}.json", "an answer") for k in keys}
-        )
-
-    plain = counted("none", 1.0)
-    lines = [row(n, getattr(criteria, n), f, counted(n, f), plain) for n, f in variants[1:]]
-    text = pipe_table(HEADINGS, lines)
-    said = (
-        f"{len(keys)} cases: right {plain['right']}, alarms {plain['alarms']}, "
-        f"wrong for sure {plain['for_sure_wrong']} with the numbers as they are.\n\n{text}\n"
+    plain = found.pop("none-1")
+    rows = [
+        row(n, getattr(criteria, n), f, found[name], plain)
+        for name, (n, f) in variants.items() if name in found
+    ]  # fmt: skip
+    text = (
+        f"{plain['count']} cases: right {plain['right']}, alarms {plain['alarms']}, "
+        f"wrong for sure {plain['for_sure_wrong']} with the numbers as they are."
     )
-    print(said)
-    if given.out:
-        given.out.write_text(said)
+    print(text)
+    table(HEADINGS, rows, out, text)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

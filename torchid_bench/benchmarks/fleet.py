@@ -1,26 +1,24 @@
-# ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """A simulated fleet: odd units found and false ones, coverage, and what a log costs.
 
-    python -m torchid_bench.benchmarks.fleet odd [--units 200] [--sessions 3] [--odd 12] [--alike] [--json FILE]
-    python -m torchid_bench.benchmarks.fleet speed [--logs 6] [--seconds 60] [--json FILE]
+    python -m torchid_bench.benchmarks.fleet odd [--units 200] [--sessions 3] [--odd-units 12] [--alike]
+    python -m torchid_bench.benchmarks.fleet speed [--logs 6] [--seconds 60]
+    python -m torchid_bench.benchmarks.fleet growth [--logs 10 100 1000]
 
 `odd`: units of the 3R whose nine coefficients of friction differ from unit to unit (5 %) and from
 day to day (2 %), under coloured torque noise of 1 %; in some of them one coefficient is off by so
 many standard deviations of what normal units' values scatter by; with --alike normal units do not
 differ at all, and the deviation counts in standard deviations of one session. `speed`: logs of a
-7R arm at 1 kHz.
+7R arm at 1 kHz. `growth`: logs of ten seconds of the 3R by one process, and by two workers of a dask
+scheduler of which one is killed after the first tenth: the same bits.
 """
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ[_name] = "1"
-
-import argparse
+import itertools
 import json
 import resource
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from subprocess import Popen
 from tempfile import TemporaryDirectory
 
 import torch
@@ -32,6 +30,7 @@ from torchid.fleet.settings import FleetSettings
 from torchid.parallel.store import Store
 from torchid.robot.library import load_robot
 from torchid_bench.benchmarks.cpu_time import processor_time
+from torchid_bench.benchmarks.runner import command, table
 
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
 SIZES = (0.0, 3.0, 4.0, 5.0, 6.0, 8.0)
@@ -63,8 +62,8 @@ def coverage(found: Fleet, robot, sessions: int, normal: range) -> dict[str, flo
     for name, b in names.items():
         value = typical(robot)[name]
         for ci, true, out in (
-            (found.pooled.between_ci, BETWEEN * abs(value), spread),
-            (found.pooled.daily_ci, DAILY * abs(value), daily),
+            (found.pooled.between_ci95, BETWEEN * abs(value), spread),
+            (found.pooled.daily_ci95, DAILY * abs(value), daily),
             (found.pooled.interval(), value, means),
         ):
             out.append(float(ci[b, 0]) <= true <= float(ci[b, 1]))
@@ -78,20 +77,20 @@ def coverage(found: Fleet, robot, sessions: int, normal: range) -> dict[str, flo
     }
 
 
-def odd(units: int, sessions: int, count: int, alike: bool) -> dict:
+def odd(*, units: int = 200, sessions: int = 3, odd_units: int = 12, alike: bool = False) -> None:
+    """Odd units that are found and named, and false ones, by the size of what is odd."""
     between, daily = (0.0, 0.0) if alike else (BETWEEN, DAILY)
     robot = load_robot("3r_friction")
-    model = FleetModel(robot, FleetSettings(effects=EFFECTS))
-    out: dict = {"units": units, "sessions": sessions, "odd": count, "sizes": {}}
+    model, rows = FleetModel(robot, FleetSettings(effects=EFFECTS)), []
     with TemporaryDirectory() as text:
         folder, store = Path(text), Store(f"{text}/store")
         plan = Plan(units=units, sessions=sessions, between=between, daily=daily)
-        begin = time.process_time()
-        normal = make(robot, plan, folder / "normal", first=count)
-        out["simulated_cpu_s"] = time.process_time() - begin
+        normal = make(robot, plan, folder / "normal", first=odd_units)
         begin = time.process_time()
         reduce_fleet(model, normal, store)
-        out["reduced_cpu_s"] = time.process_time() - begin
+        print(
+            f"{time.process_time() - begin:.0f} CPU s for what normal units reduce to", flush=True
+        )
         nominal = typical(robot)
         names = [n for n in nominal if n[:2] in ("Fv", "Fc")]
         scatter = (BETWEEN**2 + DAILY**2 / sessions) ** 0.5
@@ -100,80 +99,100 @@ def odd(units: int, sessions: int, count: int, alike: bool) -> dict:
             known = fleet_identify(model, normal, store=store)
             std = torch.stack([e.std for u in known.units for _, e in u.sessions]).nanmedian(0)
             unit = {n: float(std.values[known.base.names.index(n)]) for n in names}
-            out["session_std_share"] = {n: s / nominal[n] for n, s in unit.items()}
+            print("standard deviation of a session:", {n: unit[n] / nominal[n] for n in names})
         for size in SIZES_ALIKE if alike else SIZES:
-            chosen = [names[k % len(names)] for k in range(count)]
+            chosen = [names[k % len(names)] for k in range(odd_units)]
             off = {k: (n, size * unit[n]) for k, n in enumerate(chosen)}
-            few = Plan(count, sessions, between=between, daily=daily, odd=off)
+            few = Plan(odd_units, sessions, between=between, daily=daily, odd=off)
             logs = make(robot, few, folder / f"odd-{size:g}")
             begin = time.process_time()
             found = fleet_identify(model, [*normal, *logs], store=store)
             seconds = time.process_time() - begin
-            known = {unit_name(k) for k in range(count)} if size else set()
-            hits, false = len(known & set(found.odd)), len(set(found.odd) - known)
-            named = sum((unit_name(k), n) in {(o.unit, o.parameter) for o in found.oddities}
-                        for k, n in enumerate(chosen)) if size else 0  # fmt: skip
-            out["sizes"][f"{size:g}"] = {
-                "found": hits, "named": named, "false": false, "pooling_cpu_s": seconds,
-                "share_false": false / max(1, hits + false),
-            }  # fmt: skip
-            print(f"{size:g} standard deviations: {hits} of {len(known)} found, {named} by the "
-                  f"right name, {false} false; {seconds:.0f} s", flush=True)  # fmt: skip
+            truly = {unit_name(k) for k in range(odd_units)} if size else set()
+            told = {(o.unit, o.parameter) for o in found.oddities} if size else set()
+            named = sum((unit_name(k), n) in told for k, n in enumerate(chosen))
+            hits, false = len(truly & set(found.odd)), len(set(found.odd) - truly)
+            rows.append((f"{size:g}", f"{hits} of {len(truly)}", named, false, f"{seconds:.0f}"))
+            print(*rows[-1], flush=True)
             if not size and not alike:
-                out["coverage"] = coverage(found, robot, sessions, range(units))
-                print(out["coverage"], flush=True)
-    return out
+                print(coverage(found, robot, sessions, range(units)), flush=True)
+    table(("standard deviations", "found", "by the right name", "false", "CPU s"), rows)
 
 
-def speed(count: int, seconds: float) -> dict:
+def speed(*, logs: int = 6, seconds: float = 60.0) -> None:
+    """What logs cost, by one worker and by two."""
     robot = load_robot("kuka_lwr4_friction")
-    model = FleetModel(robot, FleetSettings())
-    out: dict = {"logs": count, "seconds": seconds, "workers": {}}
+    model, rows = FleetModel(robot, FleetSettings()), []
     with TemporaryDirectory() as text:
-        plan = Plan(count, 1, seconds, 1000.0)
-        logs = make(robot, plan, Path(text))
-        hours = count * seconds / 3600
+        made = make(robot, Plan(logs, 1, seconds, 1000.0), Path(text))
         for workers in (1, 2):
-            store = Store(f"{text}/store-{workers}")
-            wall, used, load = time.perf_counter(), processor_time(), os.getloadavg()[0]
-            answers = reduce_fleet(model, logs, store, workers=workers)
-            wall, used = time.perf_counter() - wall, processor_time() - used
-            wall2, used2 = time.perf_counter(), processor_time()
-            fleet_identify(model, logs, store=store, workers=workers)
-            wall2, used2 = time.perf_counter() - wall2, processor_time() - used2
+            store, clocks = (
+                Store(f"{text}/store-{workers}"),
+                [(time.perf_counter(), processor_time())],
+            )
+            reduce_fleet(model, made, store, workers=workers)
+            clocks.append((time.perf_counter(), processor_time()))
+            fleet_identify(model, made, store=store, workers=workers)
+            clocks.append((time.perf_counter(), processor_time()))
             stored = sum(p.stat().st_size for p in Path(store.place).rglob("output.pkl"))
-            out["workers"][workers] = {
-                "load_before": load, "reduce_wall_s": wall, "reduce_cpu_s": used,
-                "reduce_log_hours_per_core_hour": hours / used * 3600,
-                "rest_wall_s": wall2, "rest_cpu_s": used2,
-                "identify_log_hours_per_core_hour": hours / (used + used2) * 3600,
-                "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-                "stored_mb_per_log": stored / 1e6 / count,
-                "verdicts": [a.verdict for a in answers],
-            }  # fmt: skip
-            print(workers, out["workers"][workers], flush=True)
-    return out
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            (wall, used), (rest, also) = (
+                (b[0] - a[0], b[1] - a[1]) for a, b in itertools.pairwise(clocks)
+            )
+            hours = (logs * seconds / cpu for cpu in (used, used + also))
+            cells = (wall, used, rest, also, *hours, stored / 1e6 / logs, peak)
+            rows.append((workers, *(f"{x:.1f}" for x in cells)))
+    reduced = ("workers", "reduced: s", "CPU s", "the rest: s", "CPU s")
+    identified = ("hours of log a core-hour, reduced", "identified")
+    table((*reduced, *identified, "MB stored a log", "peak MB"), rows)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("odd", "speed"))
-    parser.add_argument("--units", type=int, default=200)
-    parser.add_argument("--sessions", type=int, default=3)
-    parser.add_argument("--odd", type=int, default=12)
-    parser.add_argument("--alike", action="store_true")
-    parser.add_argument("--logs", type=int, default=6)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--json", type=Path)
-    args = parser.parse_args()
-    torch.set_num_threads(1)
-    found = {
-        "odd": lambda: odd(args.units, args.sessions, args.odd, args.alike),
-        "speed": lambda: speed(args.logs, args.seconds),
-    }[args.what]()
-    if args.json is not None:
-        args.json.write_text(json.dumps(found, indent=1) + "\n")
+def growth(*, logs: Sequence[int] = (10, 100, 1000), seconds: float = 10.0) -> None:
+    """What more logs cost, by one process and by a scheduler's workers of which one is killed."""
+    from tests.parallel.test_scheduler import Cluster
+
+    robot, rows = load_robot("3r_friction"), []
+    model = FleetModel(robot, FleetSettings(effects=EFFECTS))
+    for count in logs:
+        with TemporaryDirectory() as text:
+            made, cluster = make(robot, Plan(count, 1, seconds, 100.0), Path(text)), Cluster()
+            begun = processor_time()
+            alone = fleet_identify(model, made)
+            used = processor_time() - begun
+            cluster.start()
+            cluster.start_worker()
+            spare = cluster.running[-1]
+
+            def kill(stage: str, done: int, total: int, one: Popen[bytes] = spare) -> None:
+                if done >= total / 10 and one.poll() is None:
+                    one.kill()
+
+            begin = time.perf_counter()
+            try:
+                store = Store(f"{text}/store")
+                spread = fleet_identify(
+                    model, made, store=store, workers=cluster.address, progress=kill
+                )
+            finally:
+                cluster.kill()
+            wall = time.perf_counter() - begin
+            same = json.dumps(alone.plain()) == json.dumps(spread.plain())
+            rows.append(
+                (
+                    count, f"{used:.1f}", f"{count * seconds / used:.0f}", f"{wall:.1f}",
+                    "yes" if spare.returncode else "no", "yes" if same else "no",
+                )
+            )  # fmt: skip
+    heads = (
+        "logs",
+        "CPU s",
+        "hours of log a core-hour",
+        "by dask: s",
+        "a worker killed",
+        "same bits",
+    )
+    table(heads, rows)
 
 
 if __name__ == "__main__":
-    main()
+    command(odd, speed, growth)

@@ -9,7 +9,6 @@ in its set. Claims are sorted into bins of equal width in log odds; the expected
 is the mean distance between what a bin says and how often it is right, weighted by claims.
 """
 
-import argparse
 import itertools
 import json
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from torchid_bench.benchmarks.gap_planted import identity, names_it
+from torchid_bench.benchmarks.runner import command, table
 
 EDGES = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.97, 1.0)
 
@@ -29,7 +29,7 @@ def claims_of(answer: dict[str, Any]) -> list[Any]:
     return [c for c in found if c.get("how_sure") is not None]
 
 
-def planted(folder: Path) -> Iterator[tuple[float, bool]]:
+def claims_on_planted(folder: Path) -> Iterator[tuple[float, bool]]:
     """Probability and truth of every new claim about planted effects."""
     for none in sorted(folder.glob("*/none.json")):
         before = {identity(c) for c in claims_of(json.loads(none.read_text()))}
@@ -41,8 +41,8 @@ def planted(folder: Path) -> Iterator[tuple[float, bool]]:
                     yield c["how_sure"], right
 
 
-def sealed(folder: Path, keys: Path) -> Iterator[tuple[float, bool]]:
-    """The same of a sealed set; what is planted outside the library makes every claim wrong."""
+def claims_on_sealed(folder: Path, keys: Path) -> Iterator[tuple[float, bool]]:
+    """Those about a sealed set; what is planted outside the library makes every claim wrong."""
     document = json.loads(keys.read_text())
     for key in document["cases"] if isinstance(document, dict) else document:
         answer = json.loads((folder / key["id"] / "answer.json").read_text())
@@ -53,53 +53,47 @@ def sealed(folder: Path, keys: Path) -> Iterator[tuple[float, bool]]:
             yield c["how_sure"], any(name in names and j in where for name, j in truth)
 
 
-def table(claims: list[tuple[float, bool]]) -> list[tuple[str, int, float, float]]:
+def bins(claims: list[tuple[float, bool]]) -> list[tuple[str, int, float, float]]:
     """Rows: bin, claims, mean probability, share that is right."""
     sure, right = np.array(claims, dtype=float).reshape(-1, 2).T
     rows = []
     for low, high in itertools.pairwise(EDGES):
         inside = (sure >= low) & ((sure < high) | (high == 1.0))
         if inside.any():
-            rows.append(
-                (
-                    f"{low:g} - {high:g}",
-                    int(inside.sum()),
-                    sure[inside].mean(),
-                    right[inside].mean(),
-                )
-            )
+            said, true = sure[inside].mean(), right[inside].mean()
+            rows.append((f"{low:g} - {high:g}", int(inside.sum()), said, true))
     return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--planted", type=Path)
-    parser.add_argument("--sealed", type=Path, nargs=2, metavar=("SET", "KEYS"))
-    parser.add_argument("--figure", type=Path)
-    args = parser.parse_args()
-    sources = {"planted in real logs": args.planted and list(planted(args.planted))}
-    sources["sealed, simulated"] = args.sealed and list(sealed(*args.sealed))
-    tables = {name: table(claims) for name, claims in sources.items() if claims}
-    for name, rows in tables.items():
+def main(
+    *,
+    planted: Path | None = None,
+    sealed: tuple[Path, Path] | None = None,
+    figure: Path | None = None,
+) -> None:
+    """Print a table of each source, and draw them."""
+    sources = {"planted in real logs": list(claims_on_planted(planted)) if planted else []}
+    sources["sealed, simulated"] = list(claims_on_sealed(*sealed)) if sealed else []
+    binned = {name: bins(claims) for name, claims in sources.items() if claims}
+    for name, rows in binned.items():
         sure, right = np.array(sources[name], dtype=float).T
         error = sum(n * abs(said - true) for _, n, said, true in rows) / len(sure)
         brier = ((sure - right) ** 2).mean()
-        print(f"\n{name}: {len(sure)} claims, calibration error {error:.3f}, Brier {brier:.3f}\n")
-        print("| probability | claims | said | right |\n|---|---|---|---|")
-        for where, n, said, true in rows:
-            print(f"| {where} | {n} | {said:.2f} | {true:.2f} |")
-    if args.figure:
-        draw(tables, args.figure)
+        print(f"{name}: {len(sure)} claims, calibration error {error:.3f}, Brier {brier:.3f}")
+        cells = [(where, n, f"{said:.2f}", f"{true:.2f}") for where, n, said, true in rows]
+        table(("probability", "claims", "said", "right"), cells)
+    if figure:
+        draw(binned, figure)
 
 
-def draw(tables: dict[str, list[tuple[str, int, float, float]]], file: Path) -> None:
+def draw(binned: dict[str, list[tuple[str, int, float, float]]], file: Path) -> None:
     """The reliability diagram."""
     from torchid.report.colours import AFTER, BEFORE, GREY
     from torchid.report.panels import finish, panel
 
     figure, axes = panel(5.2, 4.8)
     axes.plot([0, 1], [0, 1], color=GREY, linewidth=1.0)
-    for (name, rows), colour in zip(tables.items(), (BEFORE, AFTER), strict=False):
+    for (name, rows), colour in zip(binned.items(), (BEFORE, AFTER), strict=False):
         said, right = [r[2] for r in rows], [r[3] for r in rows]
         axes.plot(said, right, color=colour, linewidth=1.2, label=name)
         axes.scatter(said, right, s=[10 + 4 * r[1] for r in rows], color=colour)
@@ -108,4 +102,4 @@ def draw(tables: dict[str, list[tuple[str, int, float, float]]], file: Path) -> 
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,6 +1,6 @@
 """Backlash and elastic joints of MuJoCo arms: are they named, and how much of the gap closes?
 
-    python -m torchid_bench.benchmarks.gap_gears [--cases 8] [--class backlash] [--robot ur10e]
+    python -m torchid_bench.benchmarks.gap_gears [--cases 8] [--kinds backlash,elastic] [--robot ur10e]
 
 The arm is built in MuJoCo with one joint of two masses: the rotor, which a controller of 8 Hz
 drives, and the link behind it on a hinge of its own, which is limited to the play (backlash) or
@@ -16,9 +16,8 @@ reaction on the rotor are MuJoCo's. Sizes are 2 to 8 times the noise. Classes:
 candidate.
 """
 
-import argparse
-import time
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -29,7 +28,8 @@ from torchid.design.columns import Columns
 from torchid.gap.data import prepare
 from torchid.gap.wanted import start_of
 from torchid.robot.model import Robot
-from torchid_bench.benchmarks.gap_hard import RATE, arm
+from torchid_bench.benchmarks.gap_hard import RATE, Known, arm, scored
+from torchid_bench.benchmarks.runner import command
 
 STEP = 5e-4
 """Of the simulation [s]."""
@@ -206,8 +206,8 @@ def gap_of(robot: Robot, log: torchid.Log) -> torch.Tensor:
     return Columns(start_of(robot), data.samples).gap.square().mean(1).sqrt()
 
 
-def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, Gear]:
-    """A robot, a log with one gear, its size over the noise, and the gear."""
+def case(kind: str, number: int, name: str) -> Known:
+    """A log of an arm with one gear, with its size over the noise."""
     rng = np.random.default_rng([7, sorted(RIGHT).index(kind), number])
     robot = arm(name)
     motions = [
@@ -252,59 +252,24 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
         if abs(now / max(size, least) - 1) < 0.15:
             break
         value *= float(np.clip(max(size, least) / now, 0.2, 5.0))
-    return known, noisy(log), now, gear
+    size = f"play {1e3 * gear.play:.2g} mrad, compliance {gear.compliance:.2g}, {now:.1f} x noise"
+    words = f"joint {joint + 1}, {size}"
+    return Known(known, noisy(log), {RIGHT[kind]}, joint, words)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=8)
-    parser.add_argument("--class", dest="kinds", action="append", choices=sorted(RIGHT))
-    parser.add_argument("--robot", default="ur10e")
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--no-oracle", action="store_true")
-    asked = parser.parse_args()
-    torch.set_num_threads(1)
-    for kind in asked.kinds or list(RIGHT):
-        first = inset = small = beside = 0
-        shares, seconds = [], 0.0
-        for number in range(asked.first, asked.first + asked.cases):
-            robot, log, size, gear = case(kind, number, asked.robot)
-            begun = time.process_time()
-            found = torchid.diagnose(robot, log)
-            seconds += time.process_time() - begun
-            closed, share = found.how_far.closed or 0.0, float("nan")
-            if not asked.no_oracle:
-                only = ((RIGHT[kind], gear.joint),)
-                settings = torchid.GapSettings(
-                    effects=(RIGHT[kind],), only=only, parameters="trusted",
-                    max_effects=1,
-                )  # fmt: skip
-                best = torchid.diagnose(robot, log, settings=settings).how_far.closed or 0.0
-                share = closed / best if best > 0 else float("nan")
-            causes = found.answer.causes
-            place = [(c.effect, [j + 1 for j in c.at]) for c in causes]
-            hit = bool(causes) and place[0] == (RIGHT[kind], [gear.joint + 1])
-            covered = bool(causes) and RIGHT[kind] in {causes[0].effect, *causes[0].ambiguous_with}
-            listed = [c.effect for c in found.answer.small]
-            first, inset = first + hit, inset + (hit or covered)
-            small += not (hit or covered) and RIGHT[kind] in listed
-            beside += sum(p != (RIGHT[kind], [gear.joint + 1]) for p in place)
-            shares.append(share)
-            print(
-                f"  {kind} {number}: joint {gear.joint + 1}, play {1e3 * gear.play:.2g} mrad, "
-                f"compliance {gear.compliance:.2g}, {size:.1f} x noise: {found.status}; "
-                + ", ".join(f"{n}{j}" for n, j in place)
-                + f"; small: {', '.join(listed)}; closed {closed:.2f}, {share:.2f} of the oracle's",
-                flush=True,
-            )
-        n = asked.cases
-        print(
-            f"{kind}: first {first}/{n}, set {inset}/{n}, listed as small {small}/{n}, beside "
-            f"{beside / n:.1f} a case, {np.nanmedian(shares):.2f} of the "
-            f"oracle's closed, {seconds / n:.1f} CPU s a case",
-            flush=True,
-        )
+def main(
+    *,
+    cases: int = 8,
+    kinds: tuple[str, ...] = tuple(RIGHT),
+    robot: str = "ur10e",
+    first: int = 0,
+    no_oracle: bool = False,
+    out: Path | None = None,
+    jobs: int = 1,
+) -> None:
+    """Cases of every class; answers are kept in the folder `out`."""
+    scored(case, kinds, cases, first, robot, not no_oracle, out, jobs)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,6 +1,6 @@
 """Causes of other forms than the library's columns: are they named, and how much of the gap closes?
 
-    python -m torchid_bench.benchmarks.gap_hard [--cases 8] [--class table] [--robot ur10e]
+    python -m torchid_bench.benchmarks.gap_hard [--cases 8] [--kinds table,wall] [--robot ur10e]
 
 A motion is drawn, its torque is the robot's with honest sensor noise, and one cause is added to the
 torque by formulas of this file: a Hertzian table under a tool tip that the model does not know, a
@@ -10,10 +10,11 @@ same with what the answer cannot separate from it, `small` those that it lists a
 (below 1 % of the joint's torque), `beside` other names a case.
 """
 
-import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,6 +25,7 @@ from torchid.dynamics.newton_euler import joint_wrenches
 from torchid.gap.data import prepare
 from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot, tool_pose
+from torchid_bench.benchmarks.runner import command, digest, results, table
 
 RATE = 250
 """Of the logs [Hz]."""
@@ -58,6 +60,23 @@ class Truth:
     tau: np.ndarray
     motions: list[slice]
     rng: np.random.Generator
+
+
+class Known(NamedTuple):
+    """A case.
+
+    Attributes:
+        robot, log: what is diagnosed.
+        right: names of its cause.
+        joint: at which it is, from 0; None where the name alone counts.
+        words: on its size and place.
+    """
+
+    robot: Robot
+    log: torchid.Log
+    right: set[str]
+    joint: int | None
+    words: str
 
 
 def tip(m: Truth, offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -167,8 +186,8 @@ def arm(name: str) -> Robot:
     return robot.with_limits(acceleration=[3.0, 3.0, 5.0, 8.0, 8.0, 8.0])
 
 
-def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, int]:
-    """A robot, a log with one cause, its size over the noise, and the joint that feels it most."""
+def case(kind: str, number: int, name: str) -> Known:
+    """A log with one cause, with its size over the noise and the joint that feels it most."""
     rng = np.random.default_rng([sorted(RIGHT).index(kind), number])
     robot = arm(name)
     logs = []
@@ -189,8 +208,8 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
     joint = 0 if kind in ("moment", "axial") else int(rng.choice(heard.nonzero()[0]))
     heard[joint] = True
     size = rng.uniform(2.0, 8.0)
-    signals = (x.numpy() for x in (clean.q, clean.dq, clean.ddq, exact.tau))
-    m = Truth(robot, *signals, clean.slices(), rng)
+    q, dq, ddq, tau = (x.numpy() for x in (clean.q, clean.dq, clean.ddq, exact.tau))
+    m = Truth(robot, q, dq, ddq, tau, clean.slices(), rng)
     torque = CAUSES[kind](m, joint)
     # While it acts: a push is short.
     acts = np.abs(torque) > 1e-12 * np.abs(torque).max()
@@ -203,47 +222,88 @@ def case(kind: str, number: int, name: str) -> tuple[Robot, torchid.Log, float, 
     least = LEAST.get(kind, 0.015) * np.sqrt((exact.tau.numpy()[:, worst] ** 2).mean())
     if 0 < over_all < least:
         scale, size = scale * least / over_all, size * least / over_all
-    return robot, noisy.replace(tau=noisy.tau + torch.from_numpy(scale * torque)), size, worst
+    log = noisy.replace(tau=noisy.tau + torch.from_numpy(scale * torque))
+    return Known(robot, log, RIGHT[kind], None, f"{size:.1f} x noise on joint {worst + 1}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=8)
-    parser.add_argument("--class", dest="kinds", action="append", choices=sorted(RIGHT))
-    parser.add_argument("--robot", default="ur10e")
-    parser.add_argument("--first", type=int, default=0)
-    asked = parser.parse_args()
-    torch.set_num_threads(1)
-    for kind in asked.kinds or list(RIGHT):
-        first = inset = small = beside = 0
-        closed, seconds = [], time.process_time()
-        for number in range(asked.first, asked.first + asked.cases):
-            robot, log, size, joint = case(kind, number, asked.robot)
-            found = torchid.diagnose(robot, log)
-            causes = found.answer.causes
-            names = [c.effect for c in causes]
-            right = RIGHT[kind]
-            hit = bool(names) and names[0] in right
-            covered = bool(causes) and bool(right & {names[0], *causes[0].ambiguous_with})
-            listed = [c.effect for c in found.answer.small]
-            first, inset = first + hit, inset + (hit or covered)
-            small += not (hit or covered) and bool(right & set(listed))
-            beside += sum(n not in right for n in names)
-            closed.append(found.how_far.closed or 0.0)
-            print(
-                f"  {kind} {number}: {size:.1f} x noise on joint {joint + 1}: {found.status}; "
-                + ", ".join(f"{c.effect}{[j + 1 for j in c.at]}" for c in causes)
-                + f"; small: {', '.join(listed)}; closed {closed[-1]:.2f}",
-                flush=True,
-            )
-        n = asked.cases
-        print(
-            f"{kind}: first {first}/{n}, set {inset}/{n}, listed as small {small}/{n}, beside "
-            f"{beside / n:.1f} a case, closed {np.median(closed):.2f}, "
-            f"{(time.process_time() - seconds) / n:.1f} CPU s a case",
-            flush=True,
+def asked(
+    make: Callable[[str, int, str], Known], kind: str, number: int, name: str, oracle: bool
+) -> dict[str, Any]:
+    """What is named in a case, and the share that is closed of what a diagnosis closes which is told
+    the cause."""
+    known = make(kind, number, name)
+    begun = time.process_time()
+    found = torchid.diagnose(known.robot, known.log)
+    seconds = time.process_time() - begun
+    causes, closed = found.answer.causes, found.how_far.closed or 0.0
+    right = [
+        c.effect in known.right and (known.joint is None or list(c.at) == [known.joint])
+        for c in causes
+    ]
+    covered = bool(causes) and bool(known.right & {causes[0].effect, *causes[0].ambiguous_with})
+    listed = [c.effect for c in found.answer.small]
+    out = {
+        "first": right[:1] == [True],
+        "set": covered,
+        "small": not covered and bool(known.right & set(listed)),
+        "beside": right.count(False),
+        "closed": closed,
+        "seconds": seconds,
+    }
+    if oracle:
+        effect = min(known.right)
+        settings = torchid.GapSettings(
+            effects=(effect,), only=((effect, known.joint),), parameters="trusted", max_effects=1
         )
+        best = torchid.diagnose(known.robot, known.log, settings=settings).how_far.closed or 0.0
+        out["of_oracle"] = round(closed / best, 3) if best > 0 else None
+    said = ", ".join(f"{c.effect}{[j + 1 for j in c.at]}" for c in causes)
+    far = f"closed {closed:.2f}" + (f", {out['of_oracle']} of the oracle's" if oracle else "")
+    small = f"small: {', '.join(listed)}"
+    print(f"  {kind} {number}: {known.words}: {found.status}; {said}; {small}; {far}", flush=True)
+    return out
+
+
+def scored(
+    make: Callable[[str, int, str], Known],
+    kinds: Sequence[str],
+    cases: int,
+    first: int,
+    robot: str,
+    oracle: bool,
+    out: Path | None,
+    jobs: int,
+) -> None:
+    """Ask about so many cases of each class, and print a line a class."""
+    rows = []
+    for kind in kinds:
+        numbers, of = range(first, first + cases), digest(robot, oracle)
+        todo = {f"{kind}-{k}-{of}": (make, kind, k, robot, oracle) for k in numbers}
+        found = [one for _, one in results(asked, todo, out, jobs=jobs)]
+        hits = (f"{sum(one[key] for one in found)} of {cases}" for key in ("first", "set", "small"))
+        beside, seconds = (sum(x[key] for x in found) / cases for key in ("beside", "seconds"))
+        shares = [float(np.median([one["closed"] for one in found]))]
+        if oracle:
+            of_oracle = [one["of_oracle"] for one in found]
+            shares.append(float(np.nanmedian([np.nan if x is None else x for x in of_oracle])))
+        ratios = (f"{x:.2f}" for x in shares)
+        rows.append((kind, *hits, f"{beside:.1f}", f"{seconds:.1f}", *ratios))
+    heads = "class", "first", "in the set", "listed as small", "other names a case", "CPU s a case"
+    table((*heads, "closed", *(["of the oracle's"] if oracle else ())), rows)
+
+
+def main(
+    *,
+    cases: int = 8,
+    kinds: tuple[str, ...] = tuple(RIGHT),
+    robot: str = "ur10e",
+    first: int = 0,
+    out: Path | None = None,
+    jobs: int = 1,
+) -> None:
+    """Cases of every class; answers are kept in the folder `out`."""
+    scored(case, kinds, cases, first, robot, False, out, jobs)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,7 +1,7 @@
 """Effects planted into the second half of real logs, the first half being the model's.
 
     python -m torchid_bench.benchmarks.gap_planted DATA --work DIR [--logs panda,ur10e] [--sizes 2]
-                                     [--effects coulomb_friction,...] [--part 1/2]
+                                     [--effects coulomb_friction,...] [--jobs 2]
                                      [--plants DIR]
     python -m torchid_bench.benchmarks.gap_planted DATA --work DIR --score
 
@@ -14,7 +14,7 @@ file, and their size is that while they act.
 
 Answers are kept in DIR/LOG/EFFECT-SIZE.json, beside the models and the planted logs
 (`planted_cases.py`); those of another DIR, with `--plants`. Another diagnosis than torchid's is asked
-by `run(.., answer=..)`, or `main(answer)`.
+by `main(answer)`.
 
 What can be known of a case an oracle says (`planted_oracle.py`, whose answers are stored). Right is
 to name a decidable effect first, on its joint; of an ambiguous one a set of four at most that holds
@@ -22,7 +22,6 @@ it; of the others nothing new. A name that is neither in the set nor in the unpl
 is false.
 """
 
-import argparse
 import itertools
 import json
 import math
@@ -47,20 +46,13 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.statistics.criteria import SET_MASS
-from torchid.statistics.proportion import wilson
 from torchid.withheld.planted import with_torque
 from torchid_bench.benchmarks.gap_hard import CAUSES, RIGHT, Truth
 from torchid_bench.benchmarks.gap_plant import Planted, Scene, gap, generator, plant
 from torchid_bench.benchmarks.gap_real import FRICTION
-from torchid_bench.benchmarks.planted_cases import (
-    SOURCES,
-    Case,
-    Source,
-    cases,
-    halves,
-    unpack,
-)
+from torchid_bench.benchmarks.planted_cases import SOURCES, Case, Source, cases, halves, unpack
 from torchid_bench.benchmarks.planted_oracle import stored
+from torchid_bench.benchmarks.runner import command, results, share, table
 
 FINEST = 125.0
 """Rate at which sizes are measured [Hz]."""
@@ -75,27 +67,12 @@ MOST = 4
 """Members of a set that still says something."""
 
 PLANTED = (
-    "viscous_friction",
-    "power_law_friction",
-    "coulomb_friction",
-    "stribeck_friction",
-    "load_dependent_friction",
-    "torque_offset",
-    "joint_spring",
-    "rotor_inertia",
-    "presliding_hysteresis",
-    "cogging",
-    "motor_ripple",
-    "position_dependent_friction",
-    "torque_gain",
-    "torque_crosstalk",
-    "encoder_offset",
-    "payload",
-    "link_inertia",
-    "filter_lag",
-    "contact",
-    "gear_coupling",
-)
+    "viscous_friction", "power_law_friction", "coulomb_friction", "stribeck_friction",
+    "load_dependent_friction", "torque_offset", "joint_spring", "rotor_inertia",
+    "presliding_hysteresis", "cogging", "motor_ripple", "position_dependent_friction",
+    "torque_gain", "torque_crosstalk", "encoder_offset", "payload", "link_inertia", "filter_lag",
+    "contact", "gear_coupling",
+)  # fmt: skip
 
 
 HARD = ("table", "wall", "stop", "soft_knee", "moment", "axial")
@@ -196,17 +173,24 @@ def drawn(scene: Scene, name: str, size: float, g: torch.Generator, joint: int) 
     return None
 
 
-def draw(label: str, source: Source, data: Path, plants: Path, args: argparse.Namespace) -> None:
+def draw(
+    label: str,
+    data: Path,
+    plants: Path,
+    effects: Sequence[str],
+    sizes: Sequence[float],
+    band: float,
+) -> None:
     """Plant what is not there yet, at sizes over what this code's answer leaves."""
     unpack(label, plants / label)
-    robot, second, unplanted = modelled(label, source, data, plants)
+    robot, second, unplanted = modelled(label, SOURCES[label], data, plants)
     folder = plants / label
     noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]
-    coarse = scene_of(robot, second, noise, args.band, FINEST)
-    fine = scene_of(robot, second, noise, args.band, 1e6)
+    coarse = scene_of(robot, second, noise, band, FINEST)
+    fine = scene_of(robot, second, noise, band, 1e6)
     moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
     missing = prepare(robot, second, None).missing
-    for name, size in itertools.product(args.effects, args.sizes):
+    for name, size in itertools.product(effects, sizes):
         untestable = name in KINDS and KINDS[name].needs & missing
         if untestable or (folder / f"{name}-{size:g}.npz").exists():
             continue
@@ -239,28 +223,18 @@ def draw(label: str, source: Source, data: Path, plants: Path, args: argparse.Na
         Case(f"{name}-{size:g}", key, log.tau.numpy(), late).write(folder)
 
 
-def run(
-    label: str,
-    source: Source,
-    data: Path,
-    work: Path,
-    args: argparse.Namespace,
-    answer: Answer = answer,
-) -> None:
-    """Answer all cases of one log that are not answered yet, by this diagnosis or another."""
-    plants = args.plants or work
-    draw(label, source, data, plants, args)
+def asked(
+    label: str, data: Path, work: Path, plants: Path, name: str, answer: Answer
+) -> dict[str, Any]:
+    """What is answered of one case, by this diagnosis or another."""
+    source = SOURCES[label]
     robot, second, _ = modelled(label, source, data, work, answer, plants)
-    part, of = (int(x) for x in args.part.split("/"))
-    for number, case in enumerate(cases(plants / label, args.effects, args.sizes)):
-        file = work / label / f"{case.name}.json"
-        if number % of != part - 1 or file.exists():
-            continue
-        found = answer(robot, case.log(second), settings_of(source))
-        file.write_text(json.dumps({"planted": case.key, "answer": found}))
-        names = [(w["effect"], w["joints"]) for w in found["which"]]
-        size = f"{case.key['size']:.1f}"
-        print(label, case.name, case.key["joint"] + 1, size, found["status"], names, flush=True)
+    case = Case.read(plants / label / f"{name}.npz")
+    found = answer(robot, case.log(second), settings_of(source))
+    names = [(w["effect"], w["joints"]) for w in found["which"]]
+    size = f"{case.key['size']:.1f}"
+    print(label, name, case.key["joint"] + 1, size, found["status"], names, flush=True)
+    return {"planted": case.key, "answer": found}
 
 
 def with_late_velocities(log: Log, lag: float) -> Log:
@@ -281,10 +255,11 @@ def formed(
     over what the joint that feels it most leaves, while it acts."""
     ends = np.cumsum([0, *(len(m.q) for m in scene.motions)]).tolist()
     every = scene.together
-    signals = (x.numpy() for x in (*every.state, every.require("torque", "a cause")))
+    signals = (*every.state, every.require("torque", "a cause"))
+    q, dq, ddq, tau = (x.numpy() for x in signals)
     rng = np.random.default_rng([sorted(RIGHT).index(kind), joint])
     motions = [slice(a, b) for a, b in itertools.pairwise(ends)]
-    torque = CAUSES[kind](Truth(scene.robot, *signals, motions, rng), joint)
+    torque = CAUSES[kind](Truth(scene.robot, q, dq, ddq, tau, motions, rng), joint)
     acts = np.abs(torque) > 1e-12 * np.abs(torque).max()
     mean = (torque**2).sum(0) / np.maximum(acts.sum(0), 1)
     felt = np.sqrt(mean) / scene.noise.numpy()
@@ -301,31 +276,28 @@ HEADS = ("log", "decidable: named first", "ambiguous: in a set of 4 at most",
          "nothing planted: names above .9", "named first, of all")  # fmt: skip
 
 
-def score(work: Path, names: Sequence[str], sizes: Sequence[float]) -> None:
+def scored(work: Path, names: Sequence[str], sizes: Sequence[float]) -> None:
     """A table: a line a log, and one of all; and what is named without anything planted."""
-    classes, total, lines = stored()["cases"], Counter[str](), []
-    print(f"| {' | '.join(HEADS)} |\n|{'---|' * len(HEADS)}")
+    classes, total, rows, lines = stored()["cases"], Counter[str](), [], []
     for folder in (work / name for name in names if (work / name / "none.json").exists()):
         none, counts = json.loads((folder / "none.json").read_text()), Counter[str]()
         counts["named above .9"] = sum(w["how_sure"] >= SET_MASS for w in none["which"])
-        for size in sizes:
-            for file in sorted(folder.glob(f"*-{size:g}.json")):
-                known = classes.get(f"{folder.name}-{file.stem}", {})
-                counts += counted(json.loads(file.read_text()), none, known.get("class", ""))
-        print(line(folder.name, counts))
+        for file in (f for size in sizes for f in sorted(folder.glob(f"*-{size:g}.json"))):
+            known = classes.get(f"{folder.name}-{file.stem}", {})
+            counts += counted(json.loads(file.read_text()), none, known.get("class", ""))
+        rows.append(row(folder.name, counts))
         total += counts
         before = ", ".join(f"{w['effect']} {w['joints']}" for w in none["which"])
         lines.append(f"- {folder.name}: {none['status']}: {before or 'nothing'}")
-    print(line("all", total))
-    low, high = wilson(total["with false"], total["cases"])
-    print(f"\ncases with false names: {low:.0%} - {high:.0%}; without anything planted:\n")
-    print("\n".join(lines))
+    table(HEADS, [*rows, row("all", total)])
+    print(f"cases with false names: {share(total['with false'], total['cases'])}")
+    print("without anything planted:\n\n" + "\n".join(lines))
 
 
-def line(name: str, counts: Counter[str]) -> str:
+def row(name: str, counts: Counter[str]) -> tuple[str, ...]:
     """Of the table."""
     of = "{} of {}".format
-    cells = (
+    return (
         name,
         *(of(counts[f"right {c}"], counts[c]) for c in ("decidable", "ambiguous", "silent")),
         f"{counts['false']}, in {of(counts['with false'], counts['cases'])}",
@@ -333,7 +305,6 @@ def line(name: str, counts: Counter[str]) -> str:
         str(counts["named above .9"]),
         of(counts["first"], counts["cases"]),
     )
-    return f"| {' | '.join(cells)} |"
 
 
 def counted(case: dict[str, Any], none: dict[str, Any], known: str) -> Counter[str]:
@@ -345,16 +316,11 @@ def counted(case: dict[str, Any], none: dict[str, Any], known: str) -> Counter[s
         "silent": not verdict.new,
     }
     kind = "silent" if known in ("undecidable", "below") else known
-    out = Counter(
-        {
-            "cases": 1,
-            "first": int(verdict.first),
-            "false": verdict.false,
-            "with false": int(verdict.false > 0),
-            "sure": verdict.sure,
-            "sure and right": verdict.sure_right,
-        }
-    )
+    out = Counter({
+        "cases": 1, "first": int(verdict.first), "false": verdict.false,
+        "with false": int(verdict.false > 0), "sure": verdict.sure,
+        "sure and right": verdict.sure_right,
+    })  # fmt: skip
     if kind in right:
         out.update({kind: 1, f"right {kind}": int(right[kind])})
     return out
@@ -416,27 +382,44 @@ def judged(case: dict[str, Any], none: dict[str, Any]) -> Verdict:
     )
 
 
+def run(
+    data: Path,
+    *,
+    work: Path,
+    logs: tuple[str, ...] = tuple(SOURCES),
+    sizes: Sequence[float] = (1.0, 2.0, 5.0),
+    effects: tuple[str, ...] = (*PLANTED, *PAIRED, *HARD),
+    band: float = 8.0,
+    plants: Path | None = None,
+    score: bool = False,
+    jobs: int = 1,
+    answer: Answer = answer,
+) -> None:
+    """Answer all cases that have no answer yet, or count what was answered.
+
+    Args:
+        data, work: folders of the real logs, and of the answers.
+        logs, sizes, effects: of these cases.
+        band: below which sizes are measured [Hz].
+        plants: folder of models and planted logs, if not that of the answers.
+        score: whether to count.
+        jobs: processes.
+        answer: a diagnosis.
+    """
+    if score:
+        return scored(work, logs, sizes)
+    plants = plants or work
+    for label in logs:
+        draw(label, data, plants, effects, sizes, band)
+        modelled(label, SOURCES[label], data, work, answer, plants)
+        names = [case.name for case in cases(plants / label, effects, sizes)]
+        todo = {name: (label, data, work, plants, name, answer) for name in names}
+        list(results(asked, todo, work / label, jobs=jobs))
+
+
 def main(answer: Answer = answer, given: Sequence[str] | None = None) -> None:
     """The command; another diagnosis may answer."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--logs", type=lambda s: s.split(","), default=list(SOURCES))
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0, 2.0, 5.0])
-    parser.add_argument(
-        "--effects", type=lambda s: s.split(","), default=[*PLANTED, *PAIRED, *HARD]
-    )
-    parser.add_argument("--band", type=float, default=8.0, help="sizes are measured below it [Hz]")
-    parser.add_argument("--part", default="1/1", help="k/n: the k-th of n parts of the effects")
-    parser.add_argument("--plants", type=Path, help="models and planted logs, if not in --work")
-    parser.add_argument("--score", action="store_true")
-    args = parser.parse_args(given)
-    if args.score:
-        score(args.work, args.logs, args.sizes)
-        return
-    torch.set_num_threads(1)
-    for label in args.logs:
-        run(label, SOURCES[label], args.data, args.work, args, answer)
+    command(run, words=given, answer=answer)
 
 
 if __name__ == "__main__":

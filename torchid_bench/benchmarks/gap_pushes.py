@@ -1,7 +1,6 @@
 """Pushes planted into real logs: are they found, when do they begin, and how large is the force?
 
-    python -m torchid_bench.benchmarks.gap_pushes DATA --work DIR [--logs panda,ur10e] [--sizes 2 5]
-                                    [--draws 3] [--joint-of 0]
+    python -m torchid_bench.benchmarks.gap_pushes DATA --work DIR [--logs panda,ur10e] [--sizes 2 5] [--draws 3]
     python -m torchid_bench.benchmarks.gap_pushes DATA --work DIR --score
 
 Each log is cut in two, as in `gap_planted.py`: the first half makes the model. A push of 0.1 to 3 s
@@ -10,8 +9,8 @@ window it is `size` times as large (root mean square, on the joint that feels it
 model leaves on that joint. Answers are kept in DIR.
 """
 
-import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +20,10 @@ import torch
 from torchid.log.model import Log
 from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot
-from torchid.statistics.proportion import wilson
 from torchid_bench.benchmarks.gap_plant import generator
 from torchid_bench.benchmarks.gap_planted import answer, modelled, settings_of
-from torchid_bench.benchmarks.planted_cases import SOURCES, Source
+from torchid_bench.benchmarks.planted_cases import SOURCES
+from torchid_bench.benchmarks.runner import command, results, share, table
 
 FLANK = 0.03
 """Time in which the force comes and goes [s]."""
@@ -73,22 +72,16 @@ def pushed(
     return log.replace(tau=tau), key
 
 
-def run(label: str, source: Source, data: Path, work: Path, args: argparse.Namespace) -> None:
-    """All cases of one log that are not there yet."""
-    robot, second, unplanted = modelled(label, source, data, work)
-    folder = work / label
+def asked(label: str, data: Path, work: Path, draw: int, size: float) -> dict[str, Any] | None:
+    """What is answered of a log with one push."""
+    robot, second, unplanted = modelled(label, SOURCES[label], data, work)
     left = torch.tensor([j["after"] for j in unplanted["how_far"]["per_joint"]]).double()
-    for draw in range(args.first, args.first + args.draws):
-        for size in args.sizes:
-            file = folder / f"push{draw}-{size:g}.json"
-            if file.exists():
-                continue
-            made = pushed(robot, second, left, size, (label, draw))
-            if made is None:
-                continue
-            found = answer(robot, made[0], settings_of(source))
-            file.write_text(json.dumps({"planted": made[1], "answer": found}))
-            print(label, draw, verdict(json.loads(file.read_text())), flush=True)
+    made = pushed(robot, second, left, size, (label, draw))
+    if made is None:
+        return None
+    case = {"planted": made[1], "answer": answer(robot, made[0], settings_of(SOURCES[label]))}
+    print(label, draw, verdict(case), flush=True)
+    return case
 
 
 def verdict(case: dict[str, Any]) -> dict[str, Any]:
@@ -111,42 +104,46 @@ def verdict(case: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def score(work: Path, sizes: list[float]) -> None:
+def scored(work: Path, sizes: Sequence[float]) -> None:
     """A table, a line a size."""
     for folder in sorted(work.iterdir()):
         none = json.loads((folder / "none.json").read_text())
         print(f"{folder.name}, nothing planted: {[w['effect'] for w in none['which']]}")
-    print("| times what the model leaves | found | 95 % | onset within 50 ms | force within 20 % |")
-    print("|---|---|---|---|---|")
+    rows = []
     for size in sizes:
         cases = [verdict(json.loads(p.read_text())) for p in work.glob(f"*/push*-{size:g}.json")]
         hits = [c for c in cases if c["found"]]
-        low, high = wilson(len(hits), len(cases))
         onset = sum(abs(c["onset"]) <= 0.05 for c in hits)
         force = sum(c["force"] <= 0.2 for c in hits)
-        print(
-            f"| {size:g} | {len(hits)} of {len(cases)} | {low:.0%} - {high:.0%} | {onset} of "
-            f"{len(hits)} | {force} of {len(hits)} |"
-        )
+        of = f"of {len(hits)}"
+        rows.append((f"{size:g}", share(len(hits), len(cases)), f"{onset} {of}", f"{force} {of}"))
+    heads = "times what the model leaves", "found", "onset within 50 ms", "force within 20 %"
+    table(heads, rows)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--logs", type=lambda s: s.split(","), default=list(SOURCES))
-    parser.add_argument("--sizes", type=float, nargs="+", default=[1.0, 2.0, 5.0, 10.0])
-    parser.add_argument("--draws", type=int, default=3)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--score", action="store_true")
-    args = parser.parse_args()
-    if args.score:
-        score(args.work, args.sizes)
-        return
-    torch.set_num_threads(1)
-    for label in args.logs:
-        run(label, SOURCES[label], args.data, args.work, args)
+def main(
+    data: Path,
+    *,
+    work: Path,
+    logs: tuple[str, ...] = tuple(SOURCES),
+    sizes: Sequence[float] = (1.0, 2.0, 5.0, 10.0),
+    draws: int = 3,
+    first: int = 0,
+    score: bool = False,
+    jobs: int = 1,
+) -> None:
+    """Ask about all pushes that have no answer yet, or count what was answered."""
+    if score:
+        return scored(work, sizes)
+    for label in logs:
+        modelled(label, SOURCES[label], data, work)
+        cases = {
+            f"push{draw}-{size:g}": (label, data, work, draw, size)
+            for draw in range(first, first + draws)
+            for size in sizes
+        }
+        list(results(asked, cases, work / label, jobs=jobs))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

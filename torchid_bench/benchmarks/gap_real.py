@@ -8,9 +8,9 @@ search runs at 8 Hz (the drive: 60 Hz); errors are 100 ||tau - model|| / ||tau||
 filtered as in docs/results.md section 3, on data that took part in no choice.
 """
 
-import argparse
 import time
 from pathlib import Path
+from typing import Literal
 
 import torch
 
@@ -18,24 +18,13 @@ from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.filtering import ZeroPhaseFilter
-from torchid.log.model import Log
-from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
-from torchid_bench.benchmarks.real_logs import LINES, UR10E_GAINS, Line
+from torchid_bench.benchmarks.real_logs import LINES, Line, read
+from torchid_bench.benchmarks.runner import command, table
 
 FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 MOVING = 0.02
-
-
-UR10E = LINES["ptp"].logs
-
-
-def logs(data: Path, names: tuple[str, ...]) -> Log:
-    read = [read_log(data / name) for name in names]
-    gains = torch.tensor(UR10E_GAINS, dtype=torch.float64)
-    with_torque = [log if log.tau is not None else log.with_torque(gains) for log in read]
-    return with_torque[0] if len(read) == 1 else Log.concatenate(with_torque)
 
 
 def run(line: Line, data: Path, background: tuple[str, ...]) -> Diagnosis:
@@ -46,9 +35,9 @@ def run(line: Line, data: Path, background: tuple[str, ...]) -> Diagnosis:
         held_out_fraction=0.0 if whole else line.held_out,  # type: ignore[arg-type]
         report_band=max(20.0, line.cutoff),
     )
-    kept = logs(data, (line.held_out,)) if isinstance(line.held_out, str) else None
+    kept = read(data, (line.held_out,)) if isinstance(line.held_out, str) else None
     robot: Robot = load_robot(str(data / line.robot)).with_parameters(None)
-    return diagnose_torque(robot, logs(data, line.logs), held_out=kept, settings=settings)
+    return diagnose_torque(robot, read(data, line.logs), held_out=kept, settings=settings)
 
 
 def errors(found: Diagnosis, line: Line, which: str) -> str:
@@ -68,33 +57,35 @@ def errors(found: Diagnosis, line: Line, which: str) -> str:
 
 
 def show(line: Line, found: Diagnosis, start: str, seconds: float) -> None:
-    print(f"\n## {line.label}, from {start} ({found.status}, {seconds:.0f} s)\n")
-    print("| before | after | to reach |\n|---|---|---|")
-    print(f"| {errors(found, line, 'before')} | {errors(found, line, 'after')} | {line.gap} |\n")
-    print("| effect | joints | cannot be told from | coefficients | share |\n|---|---|---|---|--:|")
-    for f in found.answer.causes:
-        values = ", ".join(s.named for s in f.sizes)
-        joints = " ".join(str(j + 1) for j in f.joints)
-        others = ", ".join(f.ambiguous_with)
-        print(f"| {f.name} | {joints} | {others} | {values} | {100 * f.share:.1f} % |")
+    """What is left before and after, and the causes."""
+    print(f"\n## {line.label}, from {start} ({found.status}, {seconds:.0f} s)")
+    both = errors(found, line, "before"), errors(found, line, "after")
+    table(("before", "after", "to reach"), [(*both, line.gap)])
+    rows = [
+        (
+            f.name, " ".join(str(j + 1) for j in f.joints), ", ".join(f.ambiguous_with),
+            ", ".join(s.named for s in f.sizes), f"{100 * f.share:.1f} %",
+        )
+        for f in found.answer.causes
+    ]  # fmt: skip
+    table(("effect", "joints", "cannot be told from", "coefficients", "share"), rows)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--lines", default=",".join(LINES))
-    parser.add_argument("--start", choices=("rigid", "friction", "both"), default="both")
-    given = parser.parse_args()
-    torch.set_num_threads(1)
+def main(
+    data: Path,
+    *,
+    lines: tuple[str, ...] = tuple(LINES),
+    start: Literal["rigid", "friction", "both"] = "both",
+) -> None:
+    """Diagnose the logs of lines from one start or both."""
     starts = {"rigid parameters": (), "rigid parameters and friction": FRICTION}
-    if given.start != "both":
-        starts = dict([list(starts.items())[given.start == "friction"]])
-    for name in given.lines.split(","):
-        for start, background in starts.items():
-            begin = time.perf_counter()
-            found = run(LINES[name], given.data, background)
-            show(LINES[name], found, start, time.perf_counter() - begin)
+    for name in lines:
+        for words, background in starts.items():
+            if start == "both" or (start == "friction") == bool(background):
+                begin = time.perf_counter()
+                found = run(LINES[name], data, background)
+                show(LINES[name], found, words, time.perf_counter() - begin)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

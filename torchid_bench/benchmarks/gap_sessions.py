@@ -10,143 +10,75 @@ other. Then about sessions with a known load. Answers are kept in DIR, so that a
 again.
 """
 
-import argparse
+import itertools
 import json
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from torchid.gap.settings import GapSettings
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
-from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
-from torchid.statistics.proportion import wilson
-from torchid_bench.benchmarks.gap_real import FRICTION, logs
+from torchid_bench.benchmarks.gap_planted import answer
+from torchid_bench.benchmarks.gap_real import FRICTION
+from torchid_bench.benchmarks.real_logs import FILE, read
+from torchid_bench.benchmarks.runner import command, results, share, table
 
-
-@dataclass(frozen=True)
-class Arm:
-    """An arm and its sessions.
-
-    Attributes:
-        robot: its file.
-        sessions: logs in which nothing differs that anybody knows.
-        loaded: (log, mass of the load in it [kg]).
-        halves: whether the halves of each session are pairs, too.
-        cutoff: of the fit [Hz], where the default is not the arm's.
-    """
-
-    robot: str
-    sessions: tuple[str, ...]
-    loaded: tuple[tuple[str, float], ...] = ()
-    halves: bool = False
-    cutoff: float | None = None
-
-
-ARMS = {
-    "ur10e": Arm(
-        "ur10e/robot.urdf",
-        tuple(
-            f"ur10e/log_{k}.parquet"
-            for k in (
-                "est_30s_12harm",
-                "exc_20s_8harm",
-                "exc_40s_12harm",
-                "val_ptp10",
-                "unloaded_dec23",
-            )
-        ),
-        (("ur10e/log_loaded_2p6kg_jan13.parquet", 2.6),),
-    ),
-    "kr300": Arm(
-        "kuka_kr300/kin.yaml",
-        tuple(f"kuka_kr300/log_{k}.parquet" for k in ("A_ident", "B_val1", "C_val2")),
-        halves=True,
-    ),
-    "xmate": Arm("xmate7p/robot.urdf", tuple(f"xmate7p/log_traj{k}.parquet" for k in (1, 2, 3))),
-    "airbot": Arm(
-        "airbot_play/robot.urdf",
-        tuple(f"airbot_play/log_{k}_real.parquet" for k in ("chirp", "trapez")),
-        (("airbot_play/log_chirp_real_loaded.parquet", 0.48),),
-    ),
-    "baxter": Arm(
-        "baxter_left/robot.urdf",
-        tuple(
-            f"baxter_left/log_{k}.parquet"
-            for k in ("sin_10s_r18", "sin_12s_r10", "sin_15s_r15", "random")
-        ),
-        cutoff=3.0,
-    ),
-    "emps": Arm("emps/robot.yaml", ("emps/log_train.parquet",), halves=True),
-    "panda": Arm("panda_gaz/robot.yaml", ("panda_gaz/log_exciting_traj1.parquet",), halves=True),
-    "unisa": Arm("panda_unisa/robot.yaml", ("panda_unisa/log_exciting.parquet",), halves=True),
-    "ur10": Arm("ur10_unisa/robot.yaml", ("ur10_unisa/log_exciting.parquet",), halves=True),
-}
-
-
+ARMS: dict[str, dict[str, Any]] = FILE["sessions"]
 BACKGROUND = (*FRICTION, "rotor_inertia")
 """What geared arms have on every joint, fitted with the base parameters."""
 
 
-def name_of(file: str) -> str:
-    """A session's short name."""
+def pairs(arm: dict[str, Any]) -> Iterator[tuple[str, str, float]]:
+    """Sessions: what is fitted, what is asked about, and its load [kg]."""
+    sessions = [*map(_session, arm["sessions"])]
+    yield from ((a, b, 0.0) for a, b in itertools.permutations(sessions, 2))
+    for a in sessions:
+        yield from ((a, _session(file), mass) for file, mass in arm.get("loaded", {}).items())
+        if arm.get("halves"):
+            yield from ((f"{a}-1", f"{a}-2", 0.0), (f"{a}-2", f"{a}-1", 0.0))
+
+
+def _session(file: str) -> str:
     return Path(file).stem.removeprefix("log_")
 
 
-def pairs(arm: Arm, data: Path) -> Iterator[tuple[str, Log, str, Log, float]]:
-    """(Name of what is fitted, the log, name of what is asked, the log, its load)."""
-    read = {name_of(f): logs(data, (f,)) for f in arm.sessions}
-    for a, first in read.items():
-        for b, second in read.items():
-            if a != b:
-                yield a, first, b, second, 0.0
-        for file, mass in arm.loaded:
-            yield a, first, name_of(file), logs(data, (file,)), mass
-        if arm.halves:
-            one, two = first.split(0.5)
-            yield f"{a}-1", one, f"{a}-2", two, 0.0
-            yield f"{a}-2", two, f"{a}-1", one, 0.0
+def log_of(arm: dict[str, Any], data: Path, session: str) -> Log:
+    """The log of a session, or of half of it: `NAME-1`."""
+    files = {_session(file): file for file in (*arm["sessions"], *arm.get("loaded", ()))}
+    if session in files:
+        return read(data, (files[session],))
+    whole, half = session.rsplit("-", 1)
+    return read(data, (files[whole],)).split(0.5)[int(half) - 1]
 
 
-def settings_of(arm: Arm, **more: Any) -> GapSettings:
-    return GapSettings(cutoff=arm.cutoff or "auto", **more)
+def settings_of(arm: dict[str, Any], **more: Any) -> GapSettings:
+    return GapSettings(cutoff=arm.get("cutoff", "auto"), **more)
 
 
-def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
-    """The diagnosis' JSON; of what was refused or failed, the error."""
-    started = time.process_time()
-    try:
-        found = diagnose_torque(robot, log, settings=settings).plain()
-    except Exception as error:  # one pair must not end a night's run
-        found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
-    return {**found, "seconds": time.process_time() - started}
+def modelled(label: str, data: Path, file: Path) -> None:
+    """Write the arm as the session makes it that the file is named after, if it is not there."""
+    if not file.exists():
+        arm = ARMS[label]
+        robot = replace(load_robot(str(data / arm["robot"])), parameters=None, effects=())
+        settings = settings_of(arm, background=BACKGROUND)
+        found = diagnose_torque(robot, log_of(arm, data, file.stem), settings=settings)
+        write_robot(found.corrected, file)
 
 
-def run(label: str, arm: Arm, data: Path, work: Path) -> None:
-    """All pairs of one arm that are not there yet."""
-    folder = work / label
-    folder.mkdir(parents=True, exist_ok=True)
-    robot = replace(load_robot(str(data / arm.robot)), parameters=None, effects=())
-    for a, first, b, second, mass in pairs(arm, data):
-        file, model = folder / f"{a}--{b}.json", folder / f"{a}.yaml"
-        if file.exists():
-            continue
-        if not model.exists():
-            found = diagnose_torque(robot, first, settings=settings_of(arm, background=BACKGROUND))
-            write_robot(found.corrected, model)
-        found = answer(load_robot(str(model)), second, settings_of(arm))
-        file.write_text(json.dumps({"mass": mass, "joints": robot.n, "answer": found}))
-        print(label, a, b, *line(found), flush=True)
+def asked(label: str, data: Path, model: Path, session: str, mass: float) -> dict[str, Any]:
+    """What is answered of a session by the model of another."""
+    arm, robot = ARMS[label], load_robot(str(model))
+    found = answer(robot, log_of(arm, data, session), settings_of(arm))
+    print(label, f"{model.stem}--{session}", *line(found), flush=True)
+    return {"mass": mass, "joints": robot.n, "answer": found}
 
 
 def line(found: dict[str, Any]) -> tuple[str, ...]:
-    """Status, names and values."""
+    """Status, size, names and values, and CPU time of an answer."""
     names = [
         f"{w['effect']} {w['joints']} {shortly(w)} {100 * (w['how_sure'] or 0):.0f} %"
         for w in found["which"]
@@ -163,49 +95,47 @@ def shortly(entry: dict[str, Any]) -> str:
     return ""
 
 
-def score(work: Path) -> None:
+def scored(work: Path) -> None:
     """A line a pair, and the rate of false names of each arm."""
-    print(
-        "| arm | fitted on | asked about | answer | N m | names | CPU |\n|---|---|---|---|---|---|--:|"
-    )
-    rates = []
+    rows, rates = [], []
     for folder in sorted(p for p in work.iterdir() if p.is_dir()):
         false, joints, empty, count = 0, 0, 0, 0
         for file in sorted(folder.glob("*--*.json")):
             case = json.loads(file.read_text())
             a, b = file.stem.split("--")
             load = f", {case['mass']:g} kg" if case["mass"] else ""
-            print("|", " | ".join((folder.name, a, b + load, *line(case["answer"]))), "|")
-            beside = [
-                w
-                for w in case["answer"]["which"]
-                if not (case["mass"] and w["effect"] == "payload")
-            ]
+            rows.append((folder.name, a, b + load, *line(case["answer"])))
             if not case["mass"]:
-                false, joints = false + len(beside), joints + case["joints"]
-                empty, count = empty + (not beside), count + 1
-        low, high = wilson(empty, count)
+                names = len(case["answer"]["which"])
+                false, joints = false + names, joints + case["joints"]
+                empty, count = empty + (not names), count + 1
         rates.append(
-            f"- {folder.name}: {false} names on {joints} joints ({false / max(1, joints):.2f} a joint), "
-            f"{empty} of {count} pairs without ({low:.0%} - {high:.0%})"
+            f"- {folder.name}: {false} names on {joints} joints ({false / max(1, joints):.2f} a "
+            f"joint), {share(empty, count)} pairs without"
         )
-    print("\n" + "\n".join(rates))
+    table(("arm", "fitted on", "asked about", "answer", "N m", "names", "CPU"), rows)
+    print("\n".join(rates))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--arms", type=lambda s: s.split(","), default=list(ARMS))
-    parser.add_argument("--score", action="store_true")
-    args = parser.parse_args()
-    if args.score:
-        score(args.work)
-        return
-    torch.set_num_threads(1)
-    for label in args.arms:
-        run(label, ARMS[label], args.data, args.work)
+def main(
+    data: Path,
+    *,
+    work: Path,
+    arms: tuple[str, ...] = tuple(ARMS),
+    score: bool = False,
+    jobs: int = 1,
+) -> None:
+    """Ask about all pairs that have no answer yet, or count what was answered."""
+    if score:
+        return scored(work)
+    for label in arms:
+        folder, todo = work / label, [*pairs(ARMS[label])]
+        folder.mkdir(parents=True, exist_ok=True)
+        models = {a: (label, data, folder / f"{a}.yaml") for a, _, _ in todo}
+        list(results(modelled, models, jobs=jobs))  # before they are asked, each by one process
+        cases = {f"{a}--{b}": (*models[a], b, mass) for a, b, mass in todo}
+        list(results(asked, cases, folder, jobs=jobs))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

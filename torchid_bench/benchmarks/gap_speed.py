@@ -1,28 +1,22 @@
-# ruff: noqa: E402 (threads are set before numpy and torch are imported)
-"""Time and memory of a diagnosis by length of the log: 7 joints at 500 Hz, one effect planted.
+"""Time and memory of a diagnosis by length of the log and number of joints, one effect planted.
 
-    python -m torchid_bench.benchmarks.gap_speed [--seconds 30 60 120 600] [--json FILE]
+    python -m torchid_bench.benchmarks.gap_speed [--seconds 30 60 120 600] [--joints 7] [--out DIR]
 
-Each length runs in a process of its own, so that peak memory is its own. The log is synthetic: the
-closed-form torque of the LWR with Coulomb friction on one joint along exciting trajectories
-of 30 s, with counted positions and noisy torques; the simulator knows everything but the friction.
+Each case runs in a process of its own, so that peak memory is its own. The log is synthetic, at
+500 Hz: the closed-form torque of the arm with Coulomb friction on one joint along exciting
+trajectories of 30 s, with counted positions and noisy torques; the simulator knows everything but
+the friction. Seven joints are the LWR; other numbers are chains of like links whose axes turn by a
+right angle from one to the next.
 """
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ[_name] = "1"
-
-import argparse
 import json
-import platform
 import resource
-import subprocess
-import sys
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
@@ -30,24 +24,54 @@ import torch
 
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.gap.torque import diagnose_torque
+from torchid.gap.torque import STAGES, diagnose_torque
 from torchid.log.model import Log
+from torchid.parallel.pace import Pace
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
+from torchid_bench.benchmarks.cpu_time import machine
+from torchid_bench.benchmarks.runner import command, results, table
 
 RATE = 500.0
 DURATION = 30.0
-PLANTED = MappingProxyType({"effect": "coulomb_friction", "joint": 4, "Fc": 1.5})
+PLANTED = MappingProxyType({"effect": "coulomb_friction", "Fc": 1.5})
+LINK, SHRINKS = 0.2, 0.85
+"""Length of a chain's links [m], and mass of each over that of the one before [1]."""
 
 
 def peak_megabytes() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def case(seconds: float, rate: float = RATE) -> tuple[Robot, Log]:
+def chain(joints: int) -> Robot:
+    """An arm of so many revolute joints, by turns about crossed axes."""
+    masses = [5.0 * SHRINKS**k for k in range(joints)]
+    turns = [
+        {"type": "R", "a": LINK, "alpha_deg": 90 * (-1) ** k, "d": 0, "theta": 0}
+        for k in range(joints)
+    ]
+    size = [m * LINK**2 / 3 for m in masses]
+    document = {
+        "name": f"chain_{joints}",
+        "dh": {"convention": "classical", "joints": turns},
+        "gravity": [0, 0, -9.81],
+        "limits": {"position": [1.5] * joints, "velocity": [2.0] * joints, "acceleration": [8.0] * joints},
+        "parameters": {
+            "mass": masses,
+            "com": [[-LINK / 2, 0.01, 0.01] for _ in masses],
+            "inertia_about_link_frame": [[s / 10, 0, 0, s, 0, s] for s in size],
+        },
+    }  # fmt: skip
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "chain.yaml"
+        file.write_text(json.dumps(document))
+        return load_robot(str(file))
+
+
+def case(seconds: float, rate: float = RATE, joints: int = 7) -> tuple[Robot, Log]:
     """A simulator, and a log of the arm it should be, at a rate [Hz]."""
-    robot = load_robot("kuka_lwr4")
-    arm = replace(robot, effects=(*robot.effects, PLANTED))
+    robot = load_robot("kuka_lwr4") if joints == 7 else chain(joints)
+    arm = replace(robot, effects=(*robot.effects, {**PLANTED, "joint": joints // 2 + 1}))
     count = max(1, round(seconds / DURATION))
     plan = random_trajectory(
         robot, seed=0, count=count, duration=seconds / count, fill=True, usage=0.8
@@ -55,11 +79,11 @@ def case(seconds: float, rate: float = RATE) -> tuple[Robot, Log]:
     return robot, synthetic_log(arm, trajectory_log(plan, rate), HonestNoise(), seed=1)
 
 
-def measure(seconds: float) -> dict[str, Any]:
+def measure(seconds: float, joints: int) -> dict[str, Any]:
     """Diagnose one log in this process."""
     torch.set_num_threads(1)
-    robot, log = case(seconds)
-    before = peak_megabytes()
+    robot, log = case(seconds, joints=joints)
+    before, used = peak_megabytes(), time.process_time()
     start = time.perf_counter()
     spent: dict[str, float] = defaultdict(float)
     last = ("", start)
@@ -70,13 +94,14 @@ def measure(seconds: float) -> dict[str, Any]:
         spent[last[0]] += now - last[1]
         last = (stage, now)
 
-    found = diagnose_torque(robot, log, progress=progress)
+    found = diagnose_torque(robot, log, pace=Pace(progress, STAGES))
     progress("", 0, 0)
     del spent[""]
     return {
         "seconds_of_log": seconds,
         "samples": len(log.t),
         "diagnosis_s": time.perf_counter() - start,
+        "cpu_s": time.process_time() - used,
         "stages_s": dict(spent),
         "peak_mb": peak_megabytes(),
         "peak_before_mb": before,
@@ -85,38 +110,38 @@ def measure(seconds: float) -> dict[str, Any]:
     }
 
 
-def in_a_process(seconds: float) -> dict[str, Any]:
-    command = [sys.executable, __file__, "--one", str(seconds)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, nargs="+", default=[30.0, 60.0, 120.0, 600.0])
-    parser.add_argument("--json", type=Path, help="write the figures to this file")
-    parser.add_argument("--one", type=float, help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.one is not None:
-        print(json.dumps(measure(args.one)))
-        return
-    print(f"{platform.platform()}, load {os.getloadavg()[0]:.1f}, torch {torch.__version__}")
-    figures = []
-    for seconds in args.seconds:
-        row = in_a_process(seconds)
-        figures.append(row)
-        names = ", ".join(row["findings"])
-        print(
-            f"{seconds:4g} s, {row['samples']:6d} samples: {row['diagnosis_s']:6.1f} s, peak "
-            f"{row['peak_mb']:5.0f} MB ({row['peak_before_mb']:.0f} before); {row['status']}: "
-            f"{names or 'none'}",
-            flush=True,
-        )
-        stages = sorted(row["stages_s"].items(), key=lambda item: -item[1])
-        print("       " + ", ".join(f"{name} {spent:.1f}" for name, spent in stages[:5]))
-    if args.json:
-        args.json.write_text(json.dumps(figures, indent=1))
+def main(
+    *,
+    seconds: Sequence[float] = (30.0, 60.0, 120.0, 600.0),
+    joints: Sequence[int] = (7,),
+    out: Path | None = None,
+) -> None:
+    """Diagnose logs of so many seconds of so many joints; figures are kept in the folder `out`."""
+    print(machine())
+    rows = []
+    cases = {f"{s:g} s, {n} joints": (s, n) for n in joints for s in seconds}
+    for name, found in results(measure, cases, out, fresh=True):
+        stages = sorted(found["stages_s"].items(), key=lambda item: -item[1])
+        rows.append(
+            (
+                name, found["samples"], f"{found['diagnosis_s']:.1f}", f"{found['cpu_s']:.1f}",
+                f"{found['peak_mb']:.0f}", f"{found['peak_before_mb']:.0f}", found["status"], ", ".join(found["findings"]),
+                ", ".join(f"{stage} {spent:.1f}" for stage, spent in stages[:5]),
+            )
+        )  # fmt: skip
+    heads = (
+        "log",
+        "samples",
+        "s",
+        "CPU s",
+        "peak MB",
+        "MB before",
+        "status",
+        "names",
+        "longest stages [s]",
+    )
+    table(heads, rows)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

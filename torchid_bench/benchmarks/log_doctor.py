@@ -1,12 +1,12 @@
 """How often the log doctor finds a fault that was planted in a log, and what it does to clean ones.
 
-python -m torchid_bench.benchmarks.log_doctor FOLDER [--seeds N] [--only WORD,WORD] (FOLDER: of real logs, one folder
-an arm with robot.yaml or robot.urdf and log*.parquet)
-python -m torchid_bench.benchmarks.log_doctor --arms 3r,kuka_lwr4,ur10e,panda [--seeds N] [--only WORD,WORD] (made
-logs, N an arm with plain friction and N with that of gears; --only none: clean ones alone)
+    python -m torchid_bench.benchmarks.log_doctor FOLDER [--seeds N] [--only WORD,WORD]
+    python -m torchid_bench.benchmarks.log_doctor --arms 3r,kuka_lwr4,ur10e,panda [--seeds N] [--only WORD,WORD]
+
+FOLDER is of real logs, one folder an arm with robot.yaml or robot.urdf and log*.parquet; else logs are
+made, N an arm with plain friction and N with that of gears. `--only none`: clean ones alone.
 """
 
-import argparse
 import itertools
 import time
 import zlib
@@ -24,14 +24,14 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid_bench.benchmarks.log_clean import clean
 from torchid_bench.benchmarks.log_faults import FAULTS, Fault
+from torchid_bench.benchmarks.real_logs import UR10E_GAINS
+from torchid_bench.benchmarks.runner import command, table
 
-UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
-"""[N m/A], for the logs that hold currents (Gaz et al., quoted beside the data)."""
 LEFT_OUT = ("jointwise", "5periods")
 """Logs of single joints, and one whose time axis is known to be wrong."""
 
 
-def logs(folder: Path) -> dict[str, tuple[Robot, Log]]:
+def of_folder(folder: Path) -> dict[str, tuple[Robot, Log]]:
     """The arms' logs with torques, by name."""
     found = {}
     for path in sorted(folder.glob("*/*.parquet")):
@@ -46,10 +46,10 @@ def logs(folder: Path) -> dict[str, tuple[Robot, Log]]:
     return found
 
 
-def made(arms: str, seeds: int) -> dict[str, tuple[Robot, Log]]:
+def made(arms: tuple[str, ...], seeds: int) -> dict[str, tuple[Robot, Log]]:
     """Clean logs of built-in arms, every second one described with nominal parameters."""
     found = {}
-    for name in arms.split(","):
+    for name in arms:
         for seed in range(seeds):
             for gears in (False, True):
                 nominal = (seed + gears) % 2 == 1
@@ -58,24 +58,27 @@ def made(arms: str, seeds: int) -> dict[str, tuple[Robot, Log]]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--arms", default="")
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--only", default="")
-    parser.add_argument("--logs", default="")
-    arguments = parser.parse_args()
-    if (arguments.folder is None) == (arguments.arms == ""):
-        parser.error("give either FOLDER or --arms")
-    every = made(arguments.arms, arguments.seeds) if arguments.arms else logs(arguments.folder)
-    found = {k: v for k, v in every.items() if arguments.logs in k}
-    torch.set_num_threads(1)
-    lags = _clean_ones(found)
-    print(f"{'fault':32s} planted found other | log mended undecided made worse")
+def main(
+    folder: Path | None = None,
+    *,
+    arms: tuple[str, ...] = (),
+    seeds: int = 1,
+    only: tuple[str, ...] = ("",),
+    logs: str = "",
+) -> int | None:
+    """Clean logs (those whose name holds `logs`), and faults whose names hold one of the words."""
+    if (folder is None) == (not arms):
+        print("give either FOLDER or --arms")
+        return 2
+    every = made(arms, seeds) if folder is None else of_folder(folder)
+    found = {k: v for k, v in every.items() if logs in k}
+    lags, rows = _clean_ones(found), []
     for fault, plant in FAULTS.items():
-        if any(word in fault for word in arguments.only.split(",")):
-            _planted_ones(fault, plant, found, lags, 1 if arguments.arms else arguments.seeds)
+        if any(word in fault for word in only):
+            rows += _planted_ones(fault, plant, found, lags, 1 if arms else seeds)
+    said = ("fault", "planted", "found", "another said, too")
+    table((*said, "log mended", "undecided", "made worse"), rows)
+    return None
 
 
 def _clean_ones(found: dict[str, tuple[Robot, Log]]) -> dict[str, float]:
@@ -98,9 +101,10 @@ def _planted_ones(
     found: dict[str, tuple[Robot, Log]],
     lags: dict[str, float],
     seeds: int,
-) -> None:
-    """A line of the table, and below it whatever was not found or was said besides."""
-    hits, others, lines, mended = [], [], [], Counter()
+) -> list[tuple[object, ...]]:
+    """The row of the table, where the fault can be; printed is what was not found or was said
+    besides."""
+    hits, others, mended = [], [], Counter()
     for (name, (robot, log)), seed in itertools.product(found.items(), range(seeds)):
         planted = plant(robot, log, np.random.default_rng([seed, zlib.crc32(name.encode())]))
         if planted is None:
@@ -117,13 +121,11 @@ def _planted_ones(
         if others[-1] or not hits[-1] or outcome == "worse":
             said = [f"{c.name} {[k + 1 for k in c.joints]} {c.estimate}" for c in _said(result)]
             joints = [k + 1 for k in planted.joints or ()]
-            word = "found " if hits[-1] else "MISSED"
-            lines.append(f"    {word} {name} {joints}: {'; '.join(said) or 'silent'} ({outcome})")
-    if hits:
-        counts = f"{len(hits):7d} {sum(hits):5d} {sum(others):5d}"
-        after = f"{mended['mended']:10d} {mended['undecided']:9d} {mended['worse']:10d}"
-        print(f"{fault:32s} {counts} | {after}", flush=True)
-        print("\n".join(lines), flush=True) if lines else None
+            word = "found" if hits[-1] else "MISSED"
+            said = f"{'; '.join(said) or 'silent'} ({outcome})"
+            print(f"{fault}: {word} {name} {joints}: {said}", flush=True)
+    outcomes = [mended[name] for name in ("mended", "undecided", "worse")]
+    return [(fault, len(hits), sum(hits), sum(others), *outcomes)] if hits else []
 
 
 def _outcome(clean: Log, result: Examination) -> str:
@@ -148,4 +150,4 @@ def _said(result: Examination) -> list[Check]:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -91,66 +91,93 @@ def _joint(robot: Robot, rng: np.random.Generator) -> int:
     return int(rng.integers(robot.n))
 
 
-def q_degrees(robot, log, rng):
-    if not _revolute(robot).any() or float(log.q.abs().max()) < 0.3:
-        return None
-    return Planted(
-        robot, scaled(log, ("q",), _turned(robot, DEGREES)),
-        ("position unit", "position unit, by torque"), None,
-    )  # fmt: skip
+def scaling(
+    signals: tuple[str, ...], factor: float, *names: str, estimate: float | None = None,
+    tolerance: float = 0.1, every: bool = False,
+) -> Fault:  # fmt: skip
+    """Signals in another unit; `every` joint must be named then."""
+
+    def fault(robot, log, rng):
+        if signals == ("dq",) and log.dq is None:
+            return None
+        joints = _all(robot) if every else None
+        return Planted(robot, scaled(log, signals, factor), names, joints, estimate, tolerance)
+
+    return fault
 
 
-def q_dq_degrees(robot, log, rng):
-    if not _revolute(robot).any():
-        return None
-    log = scaled(log, MOTION, _turned(robot, DEGREES))
-    return Planted(robot, log, ("position unit", "position unit, by torque"))
+def degrees(signals: tuple[str, ...]) -> Fault:
+    """Positions of turning joints in degrees; alone where they move by more than noise."""
+
+    def fault(robot, log, rng):
+        small = signals == ("q",) and float(log.q.abs().max()) < 0.3
+        if small or not _revolute(robot).any():
+            return None
+        names = "position unit", "position unit, by torque"
+        return Planted(robot, scaled(log, signals, _turned(robot, DEGREES)), names)
+
+    return fault
+
+
+def of_a_joint(
+    signals: tuple[str, ...], factor: float, *names: str, estimate: float | None = None
+) -> Fault:
+    """Signals of one joint times a factor."""
+
+    def fault(robot, log, rng):
+        alone = "gain of a joint" in names and robot.n < 2
+        if alone or (signals == ("dq",) and log.dq is None):
+            return None
+        j = _joint(robot, rng)
+        factors = torch.ones(robot.n).double()
+        factors[j] = factor
+        return Planted(robot, scaled(log, signals, factors), names, (j,), estimate)
+
+    return fault
+
+
+def exchanged(signals: tuple[str, ...], name: str) -> Fault:
+    """Signals of two joints in the place of each other."""
+
+    def fault(robot, log, rng):
+        if robot.n < 2 or (signals == ("dq",) and log.dq is None):
+            return None
+        i, j = sorted(rng.choice(robot.n, 2, replace=False).tolist())
+        order = list(range(robot.n))
+        order[i], order[j] = j, i
+        return Planted(robot, moved(log, signals, order), (name,), (i, j))
+
+    return fault
+
+
+def time_in(factor: float, name: str = "time unit", tolerance: float = 0.1) -> Fault:
+    """Time in another unit, or too slow where velocities tell."""
+
+    def fault(robot, log, rng):
+        if name == "velocity" and log.dq is None:
+            return None
+        return Planted(robot, log.replace(t=log.t * factor), (name,), None, factor, tolerance)
+
+    return fault
+
+
+def late(signals: tuple[str, ...], seconds: float, name: str, tolerance: float) -> Fault:
+    """Signals that are logged so much later."""
+
+    def fault(robot, log, rng):
+        if signals == ("dq",) and log.dq is None:
+            return None
+        return Planted(robot, shifted(log, signals, seconds), (name,), None, seconds, tolerance)
+
+    return fault
 
 
 def q_counts(robot, log, rng):
     if log.dq is None or not _revolute(robot).all():
         return None
     counts = 2**17 / (2 * math.pi)
-    return Planted(
-        robot, log.replace(q=(log.q * counts).round()), ("position unit",), _all(robot), counts,
-        1e-3,
-    )  # fmt: skip
-
-
-def dq_degrees(robot, log, rng):
-    if log.dq is None:
-        return None
-    return Planted(robot, scaled(log, ("dq",), DEGREES), ("velocity",), _all(robot), DEGREES, 0.01)
-
-
-def dq_rpm(robot, log, rng):
-    if log.dq is None:
-        return None
-    return Planted(
-        robot, scaled(log, ("dq",), 30 / math.pi), ("velocity",), _all(robot), 9.5493, 0.01
-    )
-
-
-def dq_sign(robot, log, rng):
-    if log.dq is None:
-        return None
-    j = _joint(robot, rng)
-    factors = torch.ones(robot.n).double()
-    factors[j] = -1.0
-    return Planted(robot, scaled(log, ("dq",), factors), ("velocity",), (j,), -1.0)
-
-
-def dq_other_joint(robot, log, rng):
-    if log.dq is None or robot.n < 2:
-        return None
-    i, j, order = _pair(robot, rng)
-    return Planted(robot, moved(log, ("dq",), order), ("velocity",), (i, j))
-
-
-def dq_late(robot, log, rng):
-    if log.dq is None:
-        return None
-    return Planted(robot, shifted(log, ("dq",), 0.06), ("velocity",), None, 0.06, 0.15)
+    turned = log.replace(q=(log.q * counts).round())
+    return Planted(robot, turned, ("position unit",), _all(robot), counts, 1e-3)
 
 
 def dq_filtered(robot, log, rng):
@@ -166,67 +193,6 @@ def dq_filtered(robot, log, rng):
             out[k] = out[k - 1] + share * (part.dq[k] - out[k - 1])
         parts.append(out)
     return Planted(robot, log.replace(dq=torch.cat(parts)), ("velocity",))
-
-
-def tau_milli(robot, log, rng):
-    return Planted(robot, scaled(log, ("tau",), 1e3), ("torque unit",))
-
-
-def t_milli(robot, log, rng):
-    return Planted(robot, log.replace(t=log.t * 1e3), ("time unit",), None, 1e3)
-
-
-def t_micro(robot, log, rng):
-    return Planted(robot, log.replace(t=log.t * 1e6), ("time unit",), None, 1e6)
-
-
-def t_nano(robot, log, rng):
-    return Planted(robot, log.replace(t=log.t * 1e9), ("time unit",), None, 1e9)
-
-
-def wrong_rate(robot, log, rng):
-    if log.dq is None:
-        return None
-    return Planted(robot, log.replace(t=log.t * 2.5), ("velocity",), None, 2.5, 0.02)
-
-
-def tau_sign_all(robot, log, rng):
-    return Planted(robot, scaled(log, ("tau",), -1.0), ("torque sign",), _all(robot))
-
-
-def tau_sign(robot, log, rng):
-    j = _joint(robot, rng)
-    factors = torch.ones(robot.n).double()
-    factors[j] = -1.0
-    return Planted(robot, scaled(log, ("tau",), factors), ("torque sign",), (j,))
-
-
-def q_sign(robot, log, rng):
-    j = _joint(robot, rng)
-    factors = torch.ones(robot.n).double()
-    factors[j] = -1.0
-    return Planted(robot, scaled(log, MOTION, factors), ("position sign",), (j,))
-
-
-def _pair(robot: Robot, rng: np.random.Generator) -> tuple[int, int, list[int]]:
-    i, j = sorted(rng.choice(robot.n, 2, replace=False).tolist())
-    order = list(range(robot.n))
-    order[i], order[j] = j, i
-    return i, j, order
-
-
-def q_swap(robot, log, rng):
-    if robot.n < 2:
-        return None
-    i, j, order = _pair(robot, rng)
-    return Planted(robot, moved(log, MOTION, order), ("joint order",), (i, j))
-
-
-def tau_swap(robot, log, rng):
-    if robot.n < 2:
-        return None
-    i, j, order = _pair(robot, rng)
-    return Planted(robot, moved(log, ("tau",), order), ("joint order",), (i, j))
 
 
 def tau_shuffled(robot, log, rng):
@@ -246,36 +212,17 @@ def reversed_order(robot, log, rng):
     return Planted(robot, log, ("joint order",), joints)
 
 
-def _gain(factor: float) -> Fault:
-    def fault(robot, log, rng):
-        if robot.n < 2:
-            return None
-        j = _joint(robot, rng)
-        factors = torch.ones(robot.n).double()
-        factors[j] = factor
-        return Planted(
-            robot, scaled(log, ("tau",), factors),
-            ("gain of a joint", "torque against nominal"), (j,),
-        )  # fmt: skip
-
-    return fault
+def mounted(turn: Callable[[torch.Tensor], torch.Tensor]) -> Fault:
+    """The robot's file with gravity in another direction."""
+    return lambda robot, log, rng: Planted(
+        replace(robot, gravity=turn(robot.gravity)), log, ("gravity",)
+    )
 
 
-def ceiling(robot, log, rng):
-    return Planted(replace(robot, gravity=-robot.gravity), log, ("gravity",))
-
-
-def wall(robot, log, rng):
-    turned = torch.stack([robot.gravity[2], robot.gravity[0], robot.gravity[1]])
-    return Planted(replace(robot, gravity=turned), log, ("gravity",))
-
-
-def tilt(robot, log, rng):
-    """A base 15 degrees out of level."""
-    angle = math.radians(15.0)
-    c, s = math.cos(angle), math.sin(angle)
-    turn = torch.tensor([[1.0, 0, 0], [0, c, -s], [0, s, c]], dtype=torch.float64)
-    return Planted(replace(robot, gravity=turn @ robot.gravity), log, ("gravity",))
+def tilted(gravity: torch.Tensor) -> torch.Tensor:
+    """As a base sees it that is 15 degrees out of level."""
+    c, s = math.cos(math.radians(15.0)), math.sin(math.radians(15.0))
+    return torch.tensor([[1.0, 0, 0], [0, c, -s], [0, s, c]], dtype=torch.float64) @ gravity
 
 
 def shifted(log: Log, signals: tuple[str, ...], late: float) -> Log:
@@ -288,13 +235,6 @@ def shifted(log: Log, signals: tuple[str, ...], late: float) -> Log:
 
         parts.append(part.replace(**{s: at(x) for s, x in part.signals.items() if s in signals}))
     return Log.concatenate(parts)
-
-
-def _late(seconds: float) -> Fault:
-    def fault(robot, log, rng):
-        return Planted(robot, shifted(log, ("tau",), seconds), ("lag",), None, seconds, 0.4)
-
-    return fault
 
 
 def clock_repeated(robot, log, rng):
@@ -408,36 +348,43 @@ def stands_still(robot, log, rng):
 
 
 FAULTS: dict[str, Fault] = {
-    "q in degrees": q_degrees,
-    "q and dq in degrees": q_dq_degrees,
+    "q in degrees": degrees(("q",)),
+    "q and dq in degrees": degrees(MOTION),
     "q in encoder counts": q_counts,
-    "dq in deg/s": dq_degrees,
-    "dq in rpm": dq_rpm,
-    "dq of a joint negated": dq_sign,
-    "dq of two joints exchanged": dq_other_joint,
-    "dq 60 ms late": dq_late,
+    "dq in deg/s": scaling(
+        ("dq",), DEGREES, "velocity", estimate=DEGREES, tolerance=0.01, every=True
+    ),
+    "dq in rpm": scaling(
+        ("dq",), 30 / math.pi, "velocity", estimate=9.5493, tolerance=0.01, every=True
+    ),
+    "dq of a joint negated": of_a_joint(("dq",), -1.0, "velocity", estimate=-1.0),
+    "dq of two joints exchanged": exchanged(("dq",), "velocity"),
+    "dq 60 ms late": late(("dq",), 0.06, "velocity", 0.15),
     "dq low-passed, 60 ms": dq_filtered,
-    "tau in mN m": tau_milli,
-    "t in ms": t_milli,
-    "t in us": t_micro,
-    "t in ns": t_nano,
-    "t 2.5 times too slow": wrong_rate,
-    "tau negated": tau_sign_all,
-    "tau of a joint negated": tau_sign,
-    "q of a joint negated": q_sign,
-    "q of two joints exchanged": q_swap,
-    "tau of two joints exchanged": tau_swap,
+    "tau in mN m": scaling(("tau",), 1e3, "torque unit"),
+    "t in ms": time_in(1e3),
+    "t in us": time_in(1e6),
+    "t in ns": time_in(1e9),
+    "t 2.5 times too slow": time_in(2.5, "velocity", 0.02),
+    "tau negated": scaling(("tau",), -1.0, "torque sign", every=True),
+    "tau of a joint negated": of_a_joint(("tau",), -1.0, "torque sign"),
+    "q of a joint negated": of_a_joint(MOTION, -1.0, "position sign"),
+    "q of two joints exchanged": exchanged(MOTION, "joint order"),
+    "tau of two joints exchanged": exchanged(("tau",), "joint order"),
     "tau columns shuffled": tau_shuffled,
     "tip to base": reversed_order,
-    "tau of a joint x 0.1": _gain(0.1),
-    "tau of a joint x 3": _gain(3.0),
-    "tau of a joint x 100": _gain(100.0),
-    "mounted on the ceiling": ceiling,
-    "mounted on a wall": wall,
-    "tilted by 15 deg": tilt,
-    "tau 25 ms late": _late(0.025),
-    "tau 60 ms late": _late(0.06),
-    "tau 60 ms early": _late(-0.06),
+    **{
+        f"tau of a joint x {factor:g}": of_a_joint(
+            ("tau",), factor, "gain of a joint", "torque against nominal"
+        )
+        for factor in (0.1, 3.0, 100.0)
+    },
+    "mounted on the ceiling": mounted(torch.neg),
+    "mounted on a wall": mounted(lambda g: g[[2, 0, 1]]),
+    "tilted by 15 deg": mounted(tilted),
+    "tau 25 ms late": late(("tau",), 0.025, "lag", 0.4),
+    "tau 60 ms late": late(("tau",), 0.06, "lag", 0.4),
+    "tau 60 ms early": late(("tau",), -0.06, "lag", 0.4),
     "repeated stamps": clock_repeated,
     "clock set back": clock_back,
     "clock jumps ahead": clock_jump,

@@ -1,6 +1,6 @@
 """Whether the motion of `torchid excite --for gap.json` settles what a diagnosis left open.
 
-    python -m torchid_bench.benchmarks.next_experiment [--scenes 3r-offset,...] [--seeds 1] [--usage 0.5] [--json FILE]
+    python -m torchid_bench.benchmarks.next_experiment [--scenes 3r-offset,...] [--seeds 1] [--usage 0.5] [--out DIR]
 
 A scene is an arm with one planted effect on a log too poor to name it: `torchid gap` leaves a set
 of alternatives. Each member in turn is then the truth, with the size that its own fit to that log
@@ -14,8 +14,7 @@ diagnosed from nothing, with the whole library. Counted is what stands first:
     wrong        anything else
 """
 
-import argparse
-import json
+import itertools
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -41,6 +40,7 @@ from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.closed_loop import closed_loop
 from torchid.simulation.sensors import HonestNoise, Sensors, measured_log
+from torchid_bench.benchmarks.runner import command, results, table
 
 LINK = "link_inertia"
 RATE = 100.0
@@ -78,6 +78,8 @@ SCENES = {
     "lwr-spring": Scene("kuka_lwr4", {"effect": "joint_spring", "joint": 4, "k": 3.0, "c0": 0.0}),
     "lwr-viscous": Scene("kuka_lwr4", {"effect": "viscous_friction", "joint": 4, "Fv": 1.5}),
 }
+
+VERDICTS = ("right", "unresolved", "nothing", "wrong")
 
 Arm = tuple[Robot, list[Valued]]
 """As it is: inertial parameters, and effects that the model lacks."""
@@ -193,29 +195,25 @@ def play(name: str, seed: int, usage: float) -> dict[str, Any]:
     return {"scene": name, "seed": seed, "set": names, "verdicts": verdicts, "expected": sure}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--scenes", default=",".join(SCENES))
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--usage", type=float, default=0.5, help="share of the limits")
-    parser.add_argument("--json", type=Path)
-    asked = parser.parse_args()
-    played = [play(n, s, asked.usage) for n in asked.scenes.split(",") for s in range(asked.seeds)]
-    print(f"{'scene':14}{'truths':9}{'motion':10}right  unresolved  nothing  wrong  names left")
-    for name in [*asked.scenes.split(","), "all"]:
-        own = [p for p in played if name in (p["scene"], "all")]
-        size = sum(len(p["verdicts"]) // 2 for p in own)
-        for kind in ("plain", "designed"):
-            c = Counter(v["verdict"] for p in own for v in p["verdicts"] if v["motion"] == kind)
-            row = [c[k] for k in ("right", "unresolved", "nothing", "wrong")]
-            every = [v["left"] for p in own for v in p["verdicts"] if v["motion"] == kind]
-            mean = sum(every) / max(1, len(every))
-            print(
-                f"{name:14}{size:<9}{kind:10}{row[0]:5}{row[1]:12}{row[2]:9}{row[3]:7}{mean:12.1f}"
-            )
-    if asked.json is not None:
-        asked.json.write_text(json.dumps(played, indent=1))
+def main(
+    *,
+    scenes: tuple[str, ...] = tuple(SCENES),
+    seeds: int = 1,
+    usage: float = 0.5,
+    out: Path | None = None,
+    jobs: int = 1,
+) -> None:
+    """Play scenes with a share of the limits; verdicts are kept in the folder `out`."""
+    cases = {f"{name}-{k}-{usage:g}": (name, k, usage) for name in scenes for k in range(seeds)}
+    played, rows = [one for _, one in results(play, cases, out, jobs=jobs)], []
+    for name, kind in itertools.product([*scenes, "all"], ("plain", "designed")):
+        every = [v for p in played if name in (p["scene"], "all") for v in p["verdicts"]]
+        own = [v for v in every if v["motion"] == kind]
+        counts = Counter(v["verdict"] for v in own)
+        left = sum(v["left"] for v in own) / max(1, len(own))
+        rows.append((name, len(own), kind, *(counts[v] for v in VERDICTS), f"{left:.1f}"))
+    table(("scene", "truths", "motion", *VERDICTS, "names left"), rows)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

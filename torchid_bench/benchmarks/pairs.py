@@ -1,6 +1,6 @@
 """Pairs of logs, a simulator's and an arm's, both made by MuJoCo: set-up faults and effects drawn by seed.
 
-    python -m torchid_bench.benchmarks.pairs --seed 1 --pairs 40 --equal 20 --out pairs     # score of `torchid gap --simulated --real`
+    python -m torchid_bench.benchmarks.pairs --seed 1 --pairs 40 --equal 20 --out pairs     # score of `torchid pair`
     python -m torchid_bench.benchmarks.pairs --seed 1 --only 7                               # one pair
 
 Both sides follow the same commands with the same servo. The simulator is the arm's file with one thing
@@ -8,7 +8,6 @@ wrong in its set-up, or one of the two has an effect that the other lacks. Real 
 and torque, start at another time, and have another rate.
 """
 
-import argparse
 import json
 import math
 import time
@@ -19,17 +18,19 @@ from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
-import torch
 
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
+from torchid_bench.benchmarks.runner import command, results, share, table
 from torchid_bench.withheld.plant.arms import ARMS, urdf
 from torchid_bench.withheld.plant.bodies import Inertial
 from torchid_bench.withheld.plant.model import Plant, Spring, compiled, plant_of
 
 STEP = 1e-3
+KINDS = {False: "faults and effects", True: "equal"}
+"""By whether both sides are the same."""
 DEGREE = 180 / math.pi
 
 SETUP = (
@@ -375,53 +376,41 @@ def judged(pair: Pair) -> dict:
     }  # fmt: skip
 
 
-def one(task: tuple[int, int, bool]) -> dict:
-    torch.set_num_threads(1)
-    seed, number, equal = task
+def one(seed: int, number: int, equal: bool) -> dict:
+    """A pair and what is said of it; an error is no right name."""
     try:
-        return {"number": number, **judged(drawn(seed, number, equal))}
-    except Exception as error:
-        return {
-            "number": number,
-            "kind": "equal" if equal else "?",
-            "right": False,
-            "error": f"{type(error).__name__}: {error}",
-        }
+        found = judged(drawn(seed, number, equal))
+    except Exception as error:  # one pair must not end a night's run
+        kind = "equal" if equal else "?"
+        found = {"kind": kind, "right": False, "error": f"{type(error).__name__}: {error}"}
+    print(number, json.dumps(found), flush=True)
+    return {"number": number, **found}
 
 
-def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    asked.add_argument("--seed", type=int, default=1)
-    asked.add_argument("--pairs", type=int, default=40)
-    asked.add_argument("--equal", type=int, default=20)
-    asked.add_argument("--only", type=int)
-    asked.add_argument("--jobs", type=int, default=1)
-    asked.add_argument("--out", type=Path)
-    given = asked.parse_args()
-    tasks = [(given.seed, k, False) for k in range(given.pairs)] + [
-        (given.seed, k, True) for k in range(given.equal)
-    ]
-    if given.only is not None:
-        tasks = [(given.seed, given.only, given.equal == 1 and given.pairs == 0)]
-    results = []
-    if given.jobs == 1:
-        made = map(one, tasks)
-    else:
-        from multiprocessing import get_context
-
-        made = get_context("spawn").Pool(given.jobs).imap(one, tasks)
-    for result in made:
-        results.append(result)
-        print(json.dumps(result), flush=True)
-    for name, chosen in (
-        ("faults and effects", [r for r in results if r["kind"] != "equal"]),
-        ("equal", [r for r in results if r["kind"] == "equal"]),
-    ):
-        print(f"{name}: {sum(r['right'] for r in chosen)} of {len(chosen)} right")
-    if given.out:
-        given.out.mkdir(parents=True, exist_ok=True)
-        (given.out / f"pairs_{given.seed}.json").write_text(json.dumps(results, indent=1))
+def main(
+    *,
+    seed: int = 1,
+    pairs: int = 40,
+    equal: int = 20,
+    only: int | None = None,
+    jobs: int = 1,
+    out: Path | None = None,
+) -> None:
+    """Pairs with a difference and equal ones; what is said is kept in the folder `out`."""
+    numbers = {False: range(pairs), True: range(equal)}
+    if only is not None:
+        numbers = {equal == 1 and pairs == 0: range(only, only + 1)}
+    cases = {
+        f"{seed}-{'equal-' * same}{k}": (seed, k, same)
+        for same, own in numbers.items()
+        for k in own
+    }
+    right: dict[bool, list[bool]] = {False: [], True: []}
+    for _, found in results(one, cases, out, jobs=jobs):
+        right[found["kind"] == "equal"].append(found["right"])
+    rows = [(name, share(sum(right[k]), len(right[k]))) for k, name in KINDS.items()]
+    table(("pairs", "right"), rows)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

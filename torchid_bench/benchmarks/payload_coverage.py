@@ -1,7 +1,7 @@
 """How often the intervals of `torchid payload` hold the truth, on motion good and weak.
 
     python -m torchid_bench.benchmarks.payload_coverage [--pairs 40] [--first 0] [--rates 50,200,500]
-        [--digits 0,5] [--moving all,3,2,1] [--robots 3r,ur10e,kuka_lwr4] [--cutoff 8]
+        [--digits 0,5] [--moving all,3,2,1] [--robots 3r,ur10e,kuka_lwr4] [--cutoff 8] [--out DIR]
 
 A pair is a log without payload and one with it, of an arm whose bodies are not its nominal ones and
 whose joints rub. Pairs go through rates, digits of the log (0: all) and numbers of joints that move
@@ -12,12 +12,11 @@ known, how much of that holds the truth, and the median width of the mass over t
 generalised least squares on the true motion with the noise's own covariance.
 """
 
-import argparse
 import itertools
-import json
 import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
 
 import torch
@@ -34,6 +33,7 @@ from torchid.identification.payload_fit import last_link_columns
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
+from torchid_bench.benchmarks.runner import command, digest, results, table
 
 SECONDS = 12.0
 SLOW = 0.1
@@ -197,83 +197,65 @@ GROUPS = {"mass": slice(0, 1), "com": slice(1, 4), "inertia": slice(4, 10), "m c
           "J": slice(14, 20)}  # fmt: skip
 
 
-def share(rows: list[dict], part: slice) -> tuple[int, int, int]:
+def held(rows: list[dict], part: slice) -> tuple[int, int, int]:
     """Intervals that hold the truth, intervals, quantities."""
     known = [k for r in rows for k in r["known"][part]]
     hit = [h for r in rows for h in r["hit"][part]]
     return sum(h for h, k in zip(hit, known, strict=True) if k), sum(known), len(known)
 
 
-def line(name: str, rows: list[dict]) -> str:
+def line(name: str, rows: list[dict]) -> tuple[object, ...]:
+    """Of the table."""
     done = [r for r in rows if not r["error"]]
-    cells = []
-    for part in GROUPS.values():
-        hits, known, every = share(done, part)
-        percent = f"{100 * hits / known:5.1f}" if known else "    -"
-        cells.append(f"{percent} of {known:4d}/{every:<4d}")
+    counts = [held(done, part) for part in GROUPS.values()]
+    cells = [f"{percent(hits, known)} of {known}/{every}" for hits, known, every in counts]
     wide = [
         (r["high"][0] - r["low"][0]) / (2 * 1.96 * r["oracle"])
         for r in done
         if r["known"][0] and r["oracle"] < float("inf")
     ]
-    ratio = f"{median(wide):6.2f}" if wide else "     -"
-    hits, known = (sum(share(done, p)[k] for p in GROUPS.values()) for k in (0, 1))
-    total = f"{100 * hits / known:5.1f}" if known else "    -"
-    return f"{name:24s} {len(rows):4d} {len(rows) - len(done):3d} " + " ".join(
-        [*cells, total, ratio]
-    )
+    ratio = f"{median(wide):.2f}" if wide else "-"
+    total = percent(sum(c[0] for c in counts), sum(c[1] for c in counts))
+    return name, len(rows), len(rows) - len(done), *cells, total, ratio
 
 
-def main() -> None:
-    ask = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    ask.add_argument("--pairs", type=int, default=40)
-    ask.add_argument("--first", type=int, default=0, help="seed of the first pair")
-    ask.add_argument("--rates", default="50,200,500")
-    ask.add_argument("--digits", default="0,5")
-    ask.add_argument("--moving", default="all,3,2,1")
-    ask.add_argument("--robots", default="3r,ur10e,kuka_lwr4")
-    ask.add_argument("--cutoff", default="8", help="of the filter [Hz], or auto")
-    ask.add_argument("--json", default="", help="file for a line a pair")
-    asked = ask.parse_args()
-    cutoff = "auto" if asked.cutoff == "auto" else float(asked.cutoff)
-    robots = asked.robots.split(",")
-    cells = list(
-        itertools.product(
-            (float(x) for x in asked.rates.split(",")),
-            (int(x) for x in asked.digits.split(",")),
-            asked.moving.split(","),
-        )
-    )
-    rows = []
-    for seed in range(asked.first, asked.first + asked.pairs):
+def percent(hits: int, known: int) -> str:
+    """A share, where there is any."""
+    return f"{100 * hits / known:.1f}" if known else "-"
+
+
+def main(
+    *,
+    pairs: int = 40,
+    first: int = 0,
+    rates: tuple[float, ...] = (50.0, 200.0, 500.0),
+    digits: tuple[int, ...] = (0, 5),
+    moving: tuple[str, ...] = ("all", "3", "2", "1"),
+    robots: tuple[str, ...] = ("3r", "ur10e", "kuka_lwr4"),
+    cutoff: str = "8",
+    out: Path | None = None,
+    jobs: int = 1,
+) -> None:
+    """Pairs from a first seed on, with a filter's cut-off [Hz] or auto; a row of the table for each
+    cell. What is said of them is kept in the folder `out`."""
+    cells, cases = list(itertools.product(rates, digits, moving)), {}
+    for seed in range(first, first + pairs):
         g = torch.Generator().manual_seed(seed + 10**6)
         cell = cells[int(torch.randint(len(cells), (1,), generator=g))]
         name = robots[int(torch.randint(len(robots), (1,), generator=g))]
-        row = pair(cell, name, seed, cutoff)
-        rows.append(row)
-        if asked.json:
-            with open(asked.json, "a") as file:
-                file.write(json.dumps(row) + "\n")
-    report(rows)
-
-
-def report(rows: list[dict]) -> None:
-    """Print the table of all cells."""
-    print("share of intervals that hold the truth [%], of intervals said / quantities")
-    print(f"{'':24s} {'n':>4s} {'err':>3s} "
-          + " ".join(f"{name:>18s}" for name in GROUPS) + "  all  width/oracle")  # fmt: skip
+        case = cell, name, seed, cutoff if cutoff == "auto" else float(cutoff)
+        cases[f"{seed}-{digest(*case)}"] = case
+    rows, lines = [row for _, row in results(pair, cases, out, jobs=jobs)], []
     for key in ("rate", "digits", "moving", "robot", "well", "slow", "sag", "model"):
         split = defaultdict(list)
         for r in rows:
             split[r[key]].append(r)
-        for value in sorted(split, key=str):
-            print(line(f"{key} {value}", split[value]))
-    print(line("all", rows))
+        lines += [line(f"{key} {value}", split[value]) for value in sorted(split, key=str)]
+    print("share of intervals that hold the truth [%], of intervals said / quantities")
+    table(("", "n", "errors", *GROUPS, "all", "width/oracle"), [*lines, line("all", rows)])
     for said, count in Counter(r["error"] for r in rows if r["error"]).items():
         print(f"{count:5d} x {said}")
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -22,7 +22,6 @@ it (the seconds are that refit's). Windows of 10 s are those of `torchid correct
 """
 
 import io
-import os
 import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,8 +30,6 @@ from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
@@ -53,7 +50,8 @@ from torchid.position.problem import some_of
 from torchid.position.replay import replay
 from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import windows_of
-from torchid_bench.benchmarks.position_errors import fold_parser, print_errors, read_folds
+from torchid_bench.benchmarks.position_errors import HEADS, read_folds, row
+from torchid_bench.benchmarks.runner import command, table
 
 START = {
     "kp": 17.8, "damping": 0.6, "armature": 0.028, "frictionloss": 0.052, "kv": 0.06, "clip": 5.0,
@@ -276,48 +274,55 @@ def fit(
     return spec, found
 
 
-def main() -> None:
-    parser = fold_parser(__doc__)
-    parser.add_argument("--only", type=int, nargs="*", help="these folds alone")
-    parser.add_argument("--held-out", type=Path, nargs="*", help="judge by these, fit to all LOG")
-    parser.add_argument("--windows", type=int, default=60, help="that a fit looks at")
-    parser.add_argument("--fitted", default=",".join(FITTED))
-    parser.add_argument("--friction", default="default,firm")
-    parser.add_argument("--corrected", help="torchid's model of LOG, beside --held-out")
-    given = parser.parse_args()
-    robot, parts, folds = read_folds(given)
-    if given.held_out:
-        others = list(read_log(given.held_out).trajectories())
-        folds, parts, given.only = [1] * len(parts) + [0] * len(others), parts + others, [0]
-    found = dict[tuple[str, str, int], Any]()
-    for friction, which in product(given.friction.split(","), given.fitted.split(",")):
-        squares = {seconds: list[Tensor]() for seconds in JUDGED}
-        busy, taken = 0.0, given.only or range(given.folds)
+def main(
+    robot: str,
+    logs: Sequence[Path],
+    *,
+    folds: int = 5,
+    only: Sequence[int] = (),
+    held_out: Sequence[Path] = (),
+    windows: int = 60,
+    fitted: tuple[str, ...] = tuple(FITTED),
+    friction: tuple[str, ...] = ("default", "firm"),
+    corrected: str | None = None,
+) -> None:
+    """Fit folds, or these alone; or all logs, judged by others, with torchid's model of them."""
+    arm, parts, places = read_folds(robot, logs, folds)
+    taken = only or range(folds)
+    if held_out:
+        others = read_log(list(held_out)).trajectories()
+        places, parts, taken = [1] * len(parts) + [0] * len(others), [*parts, *others], [0]
+    found, rows = dict[tuple[str, str, int], Any](), []
+    for hold, which in product(friction, fitted):
+        squares, begun = {seconds: list[Tensor]() for seconds in JUDGED}, time.process_time()
+        judging = 0.0
         for fold in taken:
-            begun = time.process_time()
             sides = [
-                [p for p, f in zip(parts, folds, strict=True) if (f == fold) == k] for k in (0, 1)
+                [p for p, f in zip(parts, places, strict=True) if (f == fold) == k] for k in (0, 1)
             ]
-            training, kept = (prepare(robot, Log.concatenate(some)) for some in sides)
+            training, kept = (prepare(arm, Log.concatenate(some)) for some in sides)
             spec, best = fit(
-                robot, training, FITTED[which], given.windows, firm=friction == "firm",
-                start=found.get((friction, "offset", fold)) if which == "all" else None,
+                arm, training, FITTED[which], windows, firm=hold == "firm",
+                start=found.get((hold, "offset", fold)) if which == "all" else None,
             )  # fmt: skip
-            found[friction, which, fold] = best
-            busy += time.process_time() - begun
-            for seconds, rows in squares.items():
+            found[hold, which, fold] = best
+            paused = time.process_time()
+            for seconds, own in squares.items():
                 for chunk in chunks_of(kept, seconds):
                     error = residual(spec, kept, [chunk])(best.as_vector(), best)[0][0]
-                    radians = torch.from_numpy(error.reshape(-1, robot.n)) / kept.scale
-                    rows.append(torch.cat([torch.zeros(1, robot.n), radians]).square())
-        print_all(f"{friction} {which}", squares, busy / len(taken))
-    if given.held_out and given.corrected:
-        log = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f])
-        ours(given.corrected, log, [p for p, f in zip(parts, folds, strict=True) if not f])
+                    radians = torch.from_numpy(error.reshape(-1, arm.n)) / kept.scale
+                    own.append(torch.cat([torch.zeros(1, arm.n), radians]).square())
+            judging += time.process_time() - paused
+        busy = (time.process_time() - begun - judging) / len(taken)
+        rows += rows_of(f"{hold} {which}", squares, busy)
+    if held_out and corrected:
+        log = Log.concatenate([p for p, f in zip(parts, places, strict=True) if f])
+        rows += ours(corrected, log, [p for p, f in zip(parts, places, strict=True) if not f])
+    table(HEADS, rows)
 
 
-def ours(corrected: str, log: Log, others: Sequence[Log]) -> None:
-    """Print errors of torchid's own replay of other motions, and of MuJoCo's of its refitted file."""
+def ours(corrected: str, log: Log, others: Sequence[Log]) -> list[tuple[str, ...]]:
+    """Errors of torchid's own replay of other motions, and of MuJoCo's of its refitted file."""
     arm, begun = ServoArm.read(corrected), time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         done = correct(arm.robot, arm, log, "mjcf", folder)
@@ -333,16 +338,18 @@ def ours(corrected: str, log: Log, others: Sequence[Log]) -> None:
         for by, found in zip(squares, (own, q / data.scale), strict=True):
             square = (found - data.q / data.scale).square()
             by[seconds] = [square[a : a + rows] for a, rows in chunks_of(data, seconds)]
-    print_all("torchid", squares[0], 0.0)
-    print_all("torchid in MuJoCo", squares[1], busy)
+    return rows_of("torchid", squares[0], 0.0) + rows_of("torchid in MuJoCo", squares[1], busy)
 
 
-def print_all(name: str, squares: Mapping[float | None, Sequence[Tensor]], busy: float) -> None:
-    """A line of each kind of window."""
-    for seconds, rows in squares.items():
-        each = "motions" if seconds is None else "windows"
-        print_errors(name, seconds, rows, busy, each=each)
+def rows_of(
+    name: str, squares: Mapping[float | None, Sequence[Tensor]], busy: float
+) -> list[tuple[str, ...]]:
+    """A row of each kind of window."""
+    kinds = {None: "motions"}
+    rows = [row(name, t, own, busy, kinds.get(t, "windows")) for t, own in squares.items()]
+    print(*(" ".join(one) for one in rows), sep="\n", flush=True)
+    return rows
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -19,7 +19,6 @@ Answers are frozen: `planted_oracle.json` is written once, and a case that is th
 again. So nothing here is taken from the diagnosis, torchid.gap.
 """
 
-import argparse
 import itertools
 import json
 import time
@@ -29,13 +28,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from torchid.effects.base import JointEffect
 from torchid.effects.registry import KINDS, effect_from_record
 from torchid.log.model import Log
 from torchid.robot.library import load_robot
-from torchid_bench.benchmarks.planted_cases import SOURCES, Case, Source, cases, halves
+from torchid_bench.benchmarks.planted_cases import SOURCES, Case, cases, halves
 from torchid_bench.benchmarks.planted_evidence import (
     Terms,
     comparable,
@@ -53,6 +51,7 @@ from torchid_bench.benchmarks.planted_library import (
     restored,
     shaped,
 )
+from torchid_bench.benchmarks.runner import command
 
 STORED = Path(__file__).with_suffix(".json")
 
@@ -268,45 +267,40 @@ def keep(document: dict[str, Any]) -> None:
     STORED.write_text("{\n" + ",\n".join(parts) + "\n}\n")
 
 
-def run(label: str, source: Source, args: argparse.Namespace) -> None:
-    """Classes of all cases of a log that have none yet."""
-    document, folder = stored(), args.work / label
-    names = {c.name: f"{label}-{c.name}" for c in cases(folder, args.effects, args.sizes)}
-    asked = [n for n, key in names.items() if args.again or key not in document["cases"]]
-    if not asked:
-        return
-    robot, second = load_robot(str(folder / "model.yaml")), halves(source, args.data)[2]
-    half = half_of(robot, second, source.cutoff)
-    known = Known(half, library(half))
-    if args.again or label not in document["there"]:
-        there = already_there(half, known.offered)
-        document["there"][label] = [
-            [e.record([0.0] * len(e.coefficients)) for e in c.effects] for c in there
-        ]
-    known = replace(known, there=document["there"][label])
-    print(label, "there:", document["there"][label], flush=True)
-    for case in (Case.read(folder / f"{name}.npz") for name in asked):
-        started = time.process_time()
-        found = classified(known, case, case.log(second), source.cutoff)
-        # Written at once: a night's run may be interrupted.
-        document["cases"][names[case.name]] = found
-        keep(document)
-        print(label, case.name, found, f"{time.process_time() - started:.1f} s", flush=True)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--logs", type=lambda s: s.split(","), default=list(SOURCES))
-    parser.add_argument("--effects", type=lambda s: s.split(","), default=list(KINDS))
-    parser.add_argument("--sizes", type=float, nargs="+", default=[2.0])
-    parser.add_argument("--again", action="store_true", help="compute what is stored, too")
-    args = parser.parse_args()
-    torch.set_num_threads(1)
-    for label in args.logs:
-        run(label, SOURCES[label], args)
+def main(
+    data: Path,
+    *,
+    work: Path,
+    logs: tuple[str, ...] = tuple(SOURCES),
+    effects: tuple[str, ...] = tuple(KINDS),
+    sizes: Sequence[float] = (2.0,),
+    again: bool = False,
+) -> None:
+    """Classes of all cases that have none yet, or of all."""
+    for label in logs:
+        document, source, folder = stored(), SOURCES[label], work / label
+        names = {c.name: f"{label}-{c.name}" for c in cases(folder, effects, sizes)}
+        asked = [n for n, key in names.items() if again or key not in document["cases"]]
+        if not asked:
+            continue
+        robot, second = load_robot(str(folder / "model.yaml")), halves(source, data)[2]
+        half = half_of(robot, second, source.cutoff)
+        known = Known(half, library(half))
+        if again or label not in document["there"]:
+            there = already_there(half, known.offered)
+            document["there"][label] = [
+                [e.record([0.0] * len(e.coefficients)) for e in c.effects] for c in there
+            ]
+        known = replace(known, there=document["there"][label])
+        print(label, "there:", document["there"][label], flush=True)
+        for case in (Case.read(folder / f"{name}.npz") for name in asked):
+            started = time.process_time()
+            found = classified(known, case, case.log(second), source.cutoff)
+            # Written at once: a night's run may be interrupted.
+            document["cases"][names[case.name]] = found
+            keep(document)
+            print(label, case.name, found, f"{time.process_time() - started:.1f} s", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -10,7 +10,9 @@ that grows with the load, and both, as bam's M2 to M4 do. `boosting` (needs scik
 positions from late commands and play operators of them, joint by joint.
 """
 
-import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -25,7 +27,8 @@ from torchid.position.replay import replay
 from torchid.position.search import _start
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
-from torchid_bench.benchmarks.position_errors import fold_parser, print_errors, read_folds
+from torchid_bench.benchmarks.position_errors import HEADS, judged, read_folds
+from torchid_bench.benchmarks.runner import command, table
 
 MAKERS_KP = [17.8]
 """Of the SO-101's STS3215 in TheRobotStudio's `joints_properties.xml` [N m/rad]."""
@@ -114,35 +117,21 @@ def boosting(training: Log):
     return told
 
 
-def main() -> None:
-    parser = fold_parser(__doc__)
-    parser.add_argument("--only", default=",".join(("delayed", *LADDER, "boosting")))
-    parser.add_argument(
-        "--gains",
-        type=float,
-        nargs="*",
-        default=MAKERS_KP,
-        help="the maker's, of all or each joint",
-    )
-    given = parser.parse_args()
-    robot, parts, folds = read_folds(given)
-    for name in given.only.split(","):
-        squares = {None: [], 2.0: []}
-        busy = time.process_time()
-        for fold in range(given.folds):
-            training = Log.concatenate([p for p, f in zip(parts, folds, strict=True) if f != fold])
-            makers = {"delayed": delayed, "boosting": boosting}
-            model = makers[name](training) if name in makers else servo(
-                robot, training, LADDER[name], given.gains
-            )  # fmt: skip
-            for part, f in zip(parts, folds, strict=True):
-                for seconds, rows in squares.items():
-                    if f == fold:
-                        rows.append((model(part, seconds) - part.q).square())
-        busy = (time.process_time() - busy) / given.folds
-        for seconds, rows in squares.items():
-            print_errors(name, seconds, rows, busy, each="motions")
+def main(
+    robot: str,
+    logs: Sequence[Path],
+    *,
+    folds: int = 5,
+    only: tuple[str, ...] = ("delayed", *LADDER, "boosting"),
+    gains: Sequence[float] = MAKERS_KP,
+) -> None:
+    """Fit and judge models; the gains are the maker's, of all joints or each."""
+    arm, parts, places = read_folds(robot, logs, folds)
+    makers = {"delayed": delayed, "boosting": boosting} | {
+        name: partial(servo, arm, names=names, gains=gains) for name, names in LADDER.items()
+    }
+    table(HEADS, judged({name: makers[name] for name in only}, parts, places))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -10,23 +10,22 @@ another scale, a zero that is off) is added to all motions, each on its own join
 as the difference of two answers.
 """
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
 from torchid.log.model import Log
-from torchid.log.readers import read_log
 from torchid.position.answered import best_answer
 from torchid.position.data import WINDOW_S, PositionData
 from torchid.position.fit import searched
 from torchid.position.judge import Equations, equations, value_interval
 from torchid.position.problem import MOST_WINDOWS, pose, some_of
 from torchid.position.servo_model import Motions, ServoModel
-from torchid.robot.library import load_robot
 from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
+from torchid_bench.benchmarks.position_errors import read_folds
+from torchid_bench.benchmarks.runner import command
 
 PLANTED = {1: ("delay", 0.04), 3: ("scale", 1.08), 4: ("offset", 0.05)}
 """By joint, from 1: two samples late [s], a factor on the command [1], and a zero [rad]."""
@@ -39,7 +38,9 @@ def answered(robot, parts: Sequence[Log]) -> tuple[PositionData, ServoModel, Equ
     return data, found, equations(data, found.servos, found.free, windows)
 
 
-def halves(robot, parts: Sequence[Log]) -> None:
+def halves(robot: str, logs: Sequence[Path]) -> None:
+    """Whether what is fitted to the first half of the motions agrees with the second half's."""
+    robot, parts, _ = read_folds(robot, logs, 1)
     half = len(parts) // 2
     one, two = answered(robot, parts[:half]), answered(robot, parts[half:])
     inside, pairs = 0, 0
@@ -85,7 +86,9 @@ def with_planted(log: Log) -> Log:
     return log.replace(u=u)
 
 
-def planted(robot, parts: Sequence[Log]) -> None:
+def planted(robot: str, logs: Sequence[Path]) -> None:
+    """What is found of what is planted."""
+    robot, parts, _ = read_folds(robot, logs, 1)
     plain = answered(robot, parts)
     more = answered(robot, [with_planted(p) for p in parts])
     for joint, (name, size) in PLANTED.items():
@@ -112,16 +115,5 @@ def planted(robot, parts: Sequence[Log]) -> None:
         print(what, free, f"plane {a[1].plane}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("halves", "planted"))
-    parser.add_argument("robot")
-    parser.add_argument("logs", nargs="+", type=Path)
-    given = parser.parse_args()
-    torch.set_num_threads(1)
-    parts = read_log(given.logs).trajectories()
-    {"halves": halves, "planted": planted}[given.what](load_robot(given.robot), parts)
-
-
 if __name__ == "__main__":
-    main()
+    command(halves, planted)

@@ -1,8 +1,8 @@
-"""What scripts on folds of motions have in common: whole motions are left out, and what is printed
-of their errors."""
+"""What scripts on folds of motions have in common: whole motions are left out, and errors as a row of
+a table."""
 
-import argparse
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -14,28 +14,23 @@ from torchid.position.checked import folds_of
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 
+HEADS = ("model", "windows", "all rows, joint by joint [mrad]", "mean", "each", "mean of each",
+         "median of each", "CPU s a fold")  # fmt: skip
 
-def fold_parser(about: str | None) -> argparse.ArgumentParser:
-    """A parser of a robot, logs and how many folds."""
-    parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("robot")
-    parser.add_argument("logs", nargs="+", type=Path)
-    parser.add_argument("--folds", type=int, default=5)
-    return parser
+Model = Callable[[Log, float | None], Tensor]
+"""Positions (T, n) along a motion, in windows of so many seconds or whole (None)."""
 
 
-def read_folds(given: argparse.Namespace) -> tuple[Robot, list[Log], list[int]]:
-    """The robot, its motions, and the fold of each; on one thread."""
-    torch.set_num_threads(1)
-    robot, log = load_robot(given.robot), read_log(given.logs)
-    parts = list(log.trajectories())
-    return robot, parts, folds_of(len(parts), given.folds).tolist()
+def read_folds(robot: str, logs: Sequence[Path], folds: int) -> tuple[Robot, list[Log], list[int]]:
+    """The robot, its motions, and the fold of each."""
+    parts = list(read_log(list(logs)).trajectories())
+    return load_robot(robot), parts, folds_of(len(parts), folds).tolist()
 
 
-def print_errors(
-    name: str, seconds: float | None, squares: Sequence[Tensor], busy: float, *, each: str
-) -> None:
-    """One line: RMS of all rows, joint by joint, and over motions.
+def row(
+    name: str, seconds: float | None, squares: Sequence[Tensor], busy: float, each: str = "motions"
+) -> tuple[str, ...]:
+    """Of the table: RMS of all rows, joint by joint, and over motions.
 
     Args:
         name: of what is judged.
@@ -46,10 +41,38 @@ def print_errors(
     """
     together = 1e3 * torch.cat(list(squares)).mean(0).sqrt()
     rms = 1e3 * torch.stack([s.mean(0).sqrt() for s in squares]).mean(1)
-    row = " ".join(f"{v:6.1f}" for v in together.tolist())
-    print(
-        f"{name:18s}{'whole' if seconds is None else f'{seconds:g} s':6s} all rows {row}  mean "
-        f"{float(together.mean()):5.2f}  {each}: mean {float(rms.mean()):5.2f}, median "
-        f"{float(rms.median()):5.2f} mrad  ({busy:.0f} s of a core a fold)",
-        flush=True,
-    )
+    numbers = together.mean(), rms.mean(), rms.median()
+    mean, own, middle = (f"{float(x):.2f}" for x in numbers)
+    joints = " ".join(f"{v:.1f}" for v in together.tolist())
+    window = "whole" if seconds is None else f"{seconds:g} s"
+    return name, window, joints, mean, each, own, middle, f"{busy:.0f}"
+
+
+def judged(
+    models: Mapping[str, Callable[[Log], Model]],
+    parts: Sequence[Log],
+    folds: Sequence[int],
+    only: Sequence[int] = (),
+) -> list[tuple[str, ...]]:
+    """Rows of models, each fitted to the motions of all folds but one and judged on that one's.
+
+    Args:
+        models: by name, what makes one of a log.
+        parts, folds: motions, and the fold of each.
+        only: these folds alone, where there are any.
+    """
+    rows, taken = [], only or sorted(set(folds))
+    for name, fit in models.items():
+        squares: dict[float | None, list[Tensor]] = {None: [], 2.0: []}
+        busy = time.process_time()
+        for fold in taken:
+            both = [
+                [p for p, f in zip(parts, folds, strict=True) if (f == fold) == k] for k in (0, 1)
+            ]
+            model = fit(Log.concatenate(both[0]))
+            for seconds, own in squares.items():
+                own += [(model(part, seconds) - part.q).square() for part in both[1]]
+        busy = (time.process_time() - busy) / len(taken)
+        rows += [row(name, seconds, own, busy) for seconds, own in squares.items()]
+        print(*rows[-2], *rows[-1], sep="  ", flush=True)
+    return rows

@@ -10,7 +10,6 @@ as missed. `logs`: real logs are diagnosed, and on motion that was held out the 
 measured torque that lies between the quantiles of the draws' torque with the residual of the model.
 """
 
-import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -33,22 +32,18 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import Sensors, measured_log
-from torchid.statistics.proportion import wilson
 from torchid.typing import Tensor
-from torchid_bench.benchmarks.gap_real import logs
+from torchid_bench.benchmarks.real_logs import LINES, read
+from torchid_bench.benchmarks.runner import command, results, share
 
 RATE, SECONDS, NOISE = 125.0, 6.0, 0.05
 SEARCHED = (
-    "viscous_friction",
-    "coulomb_friction",
-    "rotor_inertia",
-    "torque_offset",
-    "payload",
+    "viscous_friction", "coulomb_friction", "rotor_inertia", "torque_offset", "payload",
     "link_inertia",
-)
+)  # fmt: skip
 
 
-def planted(seed: int) -> tuple[Robot, Robot, list[tuple[str, str, float]], Log]:
+def drawn(seed: int) -> tuple[Robot, Robot, list[tuple[str, str, float]], Log]:
     """The simulator, the arm, (field, joint, value) of its effects, and a log of it."""
     robot = load_robot("3r")
     g = torch.Generator().manual_seed(seed)
@@ -88,7 +83,7 @@ def planted(seed: int) -> tuple[Robot, Robot, list[tuple[str, str, float]], Log]
 
 def covered(seed: int, level: float) -> tuple[list[bool], list[bool], float]:
     """Of the planted coefficients and of the base parameters, whether the ranges hold them."""
-    robot, arm, truth, log = planted(seed)
+    robot, arm, truth, log = drawn(seed)
     settings = GapSettings(effects=SEARCHED, seed=seed)
     started = time.perf_counter()
     wide = randomise(diagnose_torque(robot, log, settings=settings).record, level, seed=seed)
@@ -99,33 +94,13 @@ def covered(seed: int, level: float) -> tuple[list[bool], list[bool], float]:
         low, high = ranges.get((field, name), (torch.nan, torch.nan))
         held.append(low <= value <= high)
     base = base_parameters(robot)
-    drawn = base.project(InertialParameters(wide.draws.pi).to_paper_order())
+    ranged = base.project(InertialParameters(wide.draws.pi).to_paper_order())
     true = base.project(arm.require_parameters("the truth").to_paper_order())
     tails = torch.tensor([(1 - level) / 2, (1 + level) / 2], dtype=torch.float64)
-    low_, high_ = drawn.quantile(tails, 0)
+    low_, high_ = ranged.quantile(tails, 0)
     # Only those that a load on the last link changes are asked for.
-    asked = (high_ - low_) > 1e-9 * drawn.abs().amax(0)
+    asked = (high_ - low_) > 1e-9 * ranged.abs().amax(0)
     return held, ((low_ <= true) & (true <= high_))[asked].tolist(), seconds
-
-
-def told(name: str, held: list[bool]) -> None:
-    low, high = wilson(sum(held), len(held))
-    share = 100 * sum(held) / max(1, len(held))
-    print(f"{name}: {share:.1f} % of {len(held)} ({100 * low:.1f} to {100 * high:.1f})", flush=True)
-
-
-LOGS: dict[str, tuple[str, tuple[str, ...], str | float]] = {
-    "Franka Panda, first 60 % -> last 40 %": (
-        "panda_gaz/robot.yaml",
-        ("panda_gaz/log_exciting_traj1.parquet",),
-        0.6,
-    ),
-    "UR10e -> val_ptp10": (
-        "ur10e/robot.urdf",
-        ("ur10e/log_est_30s_12harm.parquet", "ur10e/log_exc_40s_12harm.parquet"),
-        "ur10e/log_val_ptp10.parquet",
-    ),
-}
 
 
 def band(wide: Randomisation, found: Diagnosis, log: Log, models: int = 64) -> Tensor:
@@ -144,10 +119,10 @@ def band(wide: Randomisation, found: Diagnosis, log: Log, models: int = 64) -> T
         torque = torch.stack([t.after for t in parts])
         for one in found.residual:
             # What was left, of either sign, by its own quantiles.
-            share = 2 * torch.rand(torque.shape[:2], generator=g, dtype=torch.float64) - 1
+            part = 2 * torch.rand(torque.shape[:2], generator=g, dtype=torch.float64) - 1
             levels = np.array([0.0, *one.levels])
-            left = np.interp(share.abs().numpy(), levels, np.array([0.0, *one.sizes]))
-            torque[..., one.joint] += share.sign() * torch.from_numpy(left)
+            left = np.interp(part.abs().numpy(), levels, np.array([0.0, *one.sizes]))
+            torque[..., one.joint] += part.sign() * torch.from_numpy(left)
         low, high = torque.quantile(tails, 0)
         measured, counts = parts[0].measured, parts[0].counting
         inside += ((low <= measured) & (measured <= high) & counts).sum(0)
@@ -155,50 +130,40 @@ def band(wide: Randomisation, found: Diagnosis, log: Log, models: int = 64) -> T
     return 100 * inside / whole
 
 
-def real(data: Path, level: float) -> None:
+def logs(data: Path, *, level: float = 0.95) -> None:
     """Print the coverage of held-out torque on real logs."""
-    for name, (robot, fitted, held_out) in LOGS.items():
-        arm, log = load_robot(str(data / robot)), logs(data, fitted)
-        if isinstance(held_out, float):
-            log, apart = log.split(held_out)
+    for line in (LINES["panda"], LINES["ptp"]):
+        arm, log = load_robot(str(data / line.robot)), read(data, line.logs)
+        if isinstance(line.held_out, float):
+            log, apart = log.split(1 - line.held_out)
         else:
-            apart = logs(data, (held_out,))
+            apart = read(data, (line.held_out,))
         started = time.perf_counter()
         found = diagnose_torque(arm, log)
         wide = randomise(found.record, level)
         shares = band(wide, found, apart)
-        print(f"{name}: {' '.join(f'{x:.1f}' for x in shares.tolist())} %, mean", end=" ")
-        print(f"{float(shares.mean()):.1f} %,", end=" ")
-        print(f"{time.perf_counter() - started:.0f} s", flush=True)
-        for sentence in wide.warnings:
-            print(f"  ! {sentence}", flush=True)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("what", choices=["planted", "logs"])
-    parser.add_argument("data", nargs="?", type=Path)
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--level", type=float, default=0.95)
-    args = parser.parse_args()
-    torch.set_num_threads(1)
-    if args.what == "logs":
-        if args.data is None:
-            parser.error("logs needs DATA")
-        real(args.data, args.level)
-        return
-    effects: list[bool] = []
-    bodies: list[bool] = []
-    for seed in range(args.first, args.first + args.runs):
-        held, base, seconds = covered(seed, args.level)
-        effects, bodies = effects + held, bodies + base
+        each = " ".join(f"{x:.1f}" for x in shares.tolist())
+        took = time.perf_counter() - started
         print(
-            f"{seed}: {sum(held)}/{len(held)}, {sum(base)}/{len(base)}, {seconds:.1f} s", flush=True
+            f"{line.label}: {each} %, mean {float(shares.mean()):.1f} %, {took:.0f} s", flush=True
         )
-    told("coefficients", effects)
-    told("base parameters", bodies)
+        print("".join(f"  ! {sentence}\n" for sentence in wide.warnings), end="", flush=True)
+
+
+def planted(
+    *, runs: int = 100, first: int = 0, level: float = 0.95, out: Path | None = None, jobs: int = 1
+) -> None:
+    """Print how many planted coefficients are held; answers are kept in the folder `out`."""
+    every: tuple[list[bool], list[bool]] = [], []
+    cases = {f"{seed}-{level:g}": (seed, level) for seed in range(first, first + runs)}
+    for name, (*held, seconds) in results(covered, cases, out, jobs=jobs):
+        counts = ", ".join(f"{sum(own)}/{len(own)}" for own in held)
+        print(f"{name}: {counts}, {seconds:.1f} s", flush=True)
+        for sofar, more in zip(every, held, strict=True):
+            sofar.extend(more)
+    for name, own in zip(("coefficients", "base parameters"), every, strict=True):
+        print(f"{name}: {100 * sum(own) / max(1, len(own)):.1f} %: {share(sum(own), len(own))}")
 
 
 if __name__ == "__main__":
-    main()
+    command(planted, logs)

@@ -1,4 +1,3 @@
-# ruff: noqa: E402 (threads are set before numpy and torch are imported)
 """Torchid beside its peers in one run: ratios, alternated, medians; what became slower is printed.
 
     python -m torchid_bench.benchmarks.ratios [--rounds N] [--save]
@@ -9,17 +8,10 @@ peer that is not installed is left out. `ratios.json` holds the ratios of the la
 has fallen by more than a fifth is printed. `--save` writes the file anew.
 """
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ[_name] = "1"
-
-import argparse
 import copy
 import io
 import json
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -32,9 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-
-from tests.arms import arm
+from tests.arms import arm, consistent_parameters, states
 from torchid.design.bands import CUTOFF, WIDE_BAND
 from torchid.design.columns import Columns, Model
 from torchid.design.motion import measurements
@@ -49,10 +39,13 @@ from torchid.identification.identify import identify
 from torchid.identification.settings import Settings
 from torchid.log.model import Log
 from torchid.log.readers import read_log, write_log
+from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.simulation.sensors import HonestNoise
+from torchid.wrenches.deviation import wrench_errors
 from torchid_bench.benchmarks.cpu_time import machine
 from torchid_bench.benchmarks.gap_speed import case
+from torchid_bench.benchmarks.runner import command, table
 
 COMMITTED = Path(__file__).with_name("ratios.json")
 SLOWER = 0.8
@@ -64,6 +57,8 @@ SAMPLES = 12327
 """As the report's log of the LWR; whole batches of torchid, a Python loop of a peer."""
 LOOPED = 2000
 """Samples of a peer's loop in a round: its cost a sample does not depend on their number."""
+SETS, INSTANTS = 1000, 1000
+"""Of parameters, and of a motion, whose wrenches are computed."""
 SIMULATIONS = 128
 """That are stepped together in MuJoCo."""
 STEPS = 20
@@ -135,25 +130,46 @@ def dynamics() -> Iterator[Line]:
 
         yield "inverse dynamics, eager / Pinocchio", rnea, LOOPED, torques, SAMPLES
         yield "torque regressor, eager / Pinocchio", columns, LOOPED, rows_of_all, SAMPLES
-    if find_spec("mujoco"):
-        from tests.oracles import MujocoOracle
+    from tests.oracles import MujocoOracle
 
-        other = MujocoOracle(robot)
-        mujoco, m, d = other.mujoco, other.model, other.data
+    other = MujocoOracle(robot)
+    mujoco, m, d = other.mujoco, other.model, other.data
 
-        def inverse() -> None:
-            for q, dq, ddq in rows:
-                d.qpos[:], d.qvel[:], d.qacc[:] = q, dq, ddq
-                mujoco.mj_inverse(m, d)
+    def inverse() -> None:
+        for q, dq, ddq in rows:
+            d.qpos[:], d.qvel[:], d.qacc[:] = q, dq, ddq
+            mujoco.mj_inverse(m, d)
 
-        yield "inverse dynamics, eager / MuJoCo", inverse, LOOPED, torques, SAMPLES
+    yield "inverse dynamics, eager / MuJoCo", inverse, LOOPED, torques, SAMPLES
+
+
+def wrenches() -> Iterator[Line]:
+    """All joints' wrenches of many sets at many instants, and their errors against one of the sets,
+    against Pinocchio's, which computes those of one set at one instant in the same pass as torques;
+    its arithmetic is the same for any set."""
+    if not find_spec("pinocchio"):
+        return
+    from tests.oracles import PinocchioOracle
+
+    robot = load_robot("kuka_lwr4")
+    oracle = PinocchioOracle(robot.with_parameters(consistent_parameters(robot.n, 1)))
+    motion, sets = states(robot, INSTANTS), consistent_parameters(robot.n, 2, (SETS,))
+    reference = InertialParameters(sets.pi[0].clone())
+    rows = list(zip(*(x.numpy() for x in states(robot, LOOPED)), strict=True))
+
+    def rnea() -> None:
+        for row in rows:
+            oracle.pin.rnea(oracle.model, oracle.data, *row)
+
+    def errors() -> None:
+        wrench_errors(robot, *motion, sets, reference)
+
+    yield "internal wrenches, sets x instants / Pinocchio", rnea, LOOPED, errors, SETS * INSTANTS
 
 
 def effects_in_mujoco(folder: Path) -> Iterator[Line]:
     """A plain mj_step against one with the effects of the file's sidecar: below 1, what they
     cost."""
-    if not find_spec("mujoco"):
-        return
     import mujoco
 
     from torchid.simulators.mujoco import Effects
@@ -191,8 +207,6 @@ def effects_in_mujoco(folder: Path) -> Iterator[Line]:
 
 def evolution() -> Iterator[Line]:
     """A generation of 30 runs in 30 variables against pycma's."""
-    if not find_spec("cma"):
-        return
     import cma
 
     from torchid.extraction.cma.batched import minimise
@@ -234,17 +248,16 @@ def identification() -> Iterator[Line]:
     assert log.tau is not None
     state = [x.numpy() for x in (motion.q, motion.dq, motion.ddq)]
     torques = log.tau.T.numpy()
-    if find_spec("sklearn"):
-        from sklearn.ensemble import HistGradientBoostingRegressor
+    from sklearn.ensemble import HistGradientBoostingRegressor
 
-        features = np.concatenate(state, 1)
+    features = np.concatenate(state, 1)
 
-        def boosted() -> None:
-            for torque in torques:
-                HistGradientBoostingRegressor(random_state=0).fit(features, torque)
+    def boosted() -> None:
+        for torque in torques:
+            HistGradientBoostingRegressor(random_state=0).fit(features, torque)
 
-        name = "identify, 20 s / scikit-learn's boosting"
-        yield name, boosted, 1, lambda: identify(robot, log), 1
+    name = "identify, 20 s / scikit-learn's boosting"
+    yield name, boosted, 1, lambda: identify(robot, log), 1
     try:
         from figaroh.tools.qrdecomposition import QRDecomposer
         from figaroh.tools.regressor import (
@@ -276,8 +289,6 @@ def identification() -> Iterator[Line]:
 def toolbox(folder: Path) -> Iterator[Line]:
     """Armature of each joint, which mujoco.sysid fits to rollouts, against all parameters of the
     same log."""
-    if not find_spec("mujoco"):
-        return
     import mujoco
     from mujoco import rollout, sysid
 
@@ -351,34 +362,32 @@ def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
     ]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--save", action="store_true", help="write the committed ratios anew")
-    args = parser.parse_args()
-    torch.set_num_threads(1)
+def main(*, rounds: int = 9, save: bool = False) -> None:
+    """Print all lines; `save` writes the committed ratios anew."""
     committed = json.loads(COMMITTED.read_text()) if COMMITTED.exists() else {}
     print(machine())
-    print(f"microseconds of processor time, medians of up to {args.rounds} alternated rounds")
-    print(f"{'':44}{'peer':>10}{'torchid':>10}{'ratio':>8}{'before':>8}")
-    found = {}
+    print(
+        f"microseconds of processor time, medians of up to {rounds} alternated rounds", flush=True
+    )
+    found, rows = {}, []
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         every = (
-            dynamics(), effects_in_mujoco(place), evolution(), identification(),
+            dynamics(), wrenches(), effects_in_mujoco(place), evolution(), identification(),
             toolbox(place / "toolbox"), diagnosis(place),
         )  # fmt: skip
         for line in (line for some in every for line in some):
-            peer, ours, times = ratio(line, args.rounds)
+            peer, ours, times = ratio(line, rounds)
             found[line[0]] = float(f"{times:.3g}")
-            before = f"{committed[line[0]]:8.3g}" if line[0] in committed else ""
-            print(f"{line[0]:44}{peer:10.2f}{ours:10.2f}{times:8.3g}{before}", flush=True)
-    if args.save:
+            before = committed.get(line[0], "")
+            rows.append((line[0], f"{peer:.2f}", f"{ours:.2f}", f"{times:.3g}", before))
+            print(*rows[-1], flush=True)
+    table(("", "peer", "torchid", "ratio", "before"), rows)
+    if save:
         COMMITTED.write_text(json.dumps(committed | found, indent=1) + "\n")
-        return
-    for said in slower(found, committed):
-        print(said)
+    else:
+        print("\n".join(slower(found, committed)))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

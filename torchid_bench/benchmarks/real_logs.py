@@ -6,7 +6,6 @@ DATA is a folder with the public logs named in docs/results.md, converted to one
 are not part of this project: most of their licences do not allow it.
 """
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from torchid.log.model import Log
 from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.yaml_data import parsed_yaml
+from torchid_bench.benchmarks.runner import command, table
 
 UR10E_GAINS = (14.87, 13.26, 11.13, 10.62, 11.03, 11.47)
 
@@ -79,43 +79,46 @@ def cells(values: list[float]) -> str:
     return " ".join(f"{v:.1f}" for v in values)
 
 
-def table(data: Path) -> None:
-    print("| log, rows, cut-off | reference | default | mean (reference) | signs free | auto |")
-    print("|---|---|---|---|---|---|")
+def errors(data: Path) -> None:
+    """By default, with coefficients of any sign, and with the cut-off that torchid chooses."""
+    rows = []
     for line in LINES.values():
         values = judged(line, run(line, data))
         free = judged(line, run(line, data, signs="free"))
         auto = run(line, data, cutoff="auto", error_cutoff=line.cutoff)
         reference = sum(line.reference) / len(line.reference)
-        print(
-            f"| {line.label}, {line.rows}, {line.cutoff:g} Hz | {cells(list(line.reference))} | "
-            f"{cells(values.tolist())} | {float(values.mean()):.2f} ({reference:.2f}) | "
-            f"{cells(free.tolist())} | {cells(judged(line, auto).tolist())} "
-            f"({auto.cutoff:g} Hz) |"
-        )
+        rows.append(
+            (
+                f"{line.label}, {line.rows}, {line.cutoff:g} Hz", cells(list(line.reference)),
+                cells(values.tolist()), f"{float(values.mean()):.2f} ({reference:.2f})",
+                cells(free.tolist()), f"{cells(judged(line, auto).tolist())} ({auto.cutoff:g} Hz)",
+            )
+        )  # fmt: skip
+    heads = "log, rows, cut-off", "reference", "default", "mean (reference)", "signs free", "auto"
+    table(heads, rows)
 
 
 def all_rows(data: Path) -> None:
-    print("\n| log | all | moving | raw torque |")
-    print("|---|---|---|---|")
+    rows = []
     for line in LINES.values():
         e = run(line, data).held_out
         assert e is not None
-        rows = (e.relative_percent, e.relative_percent_moving, e.relative_percent_raw)
-        print(f"| {line.label} | " + " | ".join(cells(v.tolist()) for v in rows) + " |")
+        every = (e.relative_percent, e.relative_percent_moving, e.relative_percent_raw)
+        rows.append((line.label, *(cells(v.tolist()) for v in every)))
+    table(("log", "all", "moving", "raw torque"), rows)
 
 
 def emps(data: Path) -> None:
     published = (95.109, 203.50, 20.394, -3.165)
-    print("\n| EMPS | M [kg] | Fv [N s/m] | Fc [N] | offset [N] |\n|---|---|---|---|---|")
-    print("| published | " + " | ".join(f"{v:g}" for v in published) + " |")
+    rows = [("published", *(f"{v:g}" for v in published))]
     for method in ("ols", "huber"):
         result = run(replace(LINES["emps"], method=method), data)
         shown = (
             f"{v:.2f} ± {s:.2f} ({100 * (v / p - 1):+.2f} %)"
             for v, s, p in zip(result.values.tolist(), result.std.tolist(), published, strict=True)
         )
-        print(f"| --method {method} | " + " | ".join(shown) + " |")
+        rows.append((f"--method {method}", *shown))
+    table(("EMPS", "M [kg]", "Fv [N s/m]", "Fc [N]", "offset [N]"), rows)
 
 
 def panda(data: Path) -> None:
@@ -129,14 +132,14 @@ def panda(data: Path) -> None:
     sums = result.fit_predictions[0].sums
     stacked = 100 * float((sums.error.sum() / sums.torque.sum()).sqrt())
     print(f"\nPanda, own whole trajectory, all joints stacked, 8 Hz: {stacked:.2f} % (1.41 %)\n")
-    print("| coefficient | published ± std | torchid ± std (block-robust) | difference / std |")
-    print("|---|---|---|---|")
+    rows = []
     for text, value, percent in PANDA:
         own, std = result.combination(weights(text, result.base))
-        print(
-            f"| {text.replace('**2', '²').replace('*', ' ')} | {value:g} ± "
-            f"{abs(value) * percent / 100:.2g} | {own:.4f} ± {std:.2g} | {(own - value) / std:+.1f} |"
-        )
+        name = text.replace("**2", "²").replace("*", " ")
+        theirs = f"{value:g} ± {abs(value) * percent / 100:.2g}"
+        rows.append((name, theirs, f"{own:.4f} ± {std:.2g}", f"{(own - value) / std:+.1f}"))
+    heads = "coefficient", "published ± std", "torchid ± std (block-robust)", "difference / std"
+    table(heads, rows)
 
 
 def weights(text: str, base: BaseParameters) -> torch.Tensor:
@@ -148,16 +151,11 @@ def weights(text: str, base: BaseParameters) -> torch.Tensor:
     return torch.tensor(row, dtype=torch.float64)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path)
-    data = parser.parse_args().data
-    table(data)
-    all_rows(data)
-    emps(data)
-    panda(data)
+def main(data: Path) -> None:
+    """Print all tables."""
+    for part in (errors, all_rows, emps, panda):
+        part(data)
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)
-    main()
+    command(main)

@@ -13,7 +13,6 @@ of which is heavier than the model says, at five times the noise; the simulator 
 is whether a link of that arm is named first, and of the other arm none.
 """
 
-import argparse
 import resource
 import sys
 import tempfile
@@ -30,6 +29,7 @@ from torchid.effects.registry import effect_torque, nominal_effects
 from torchid.identification.base_parameters import nominal_values
 from torchid.results.cause import LINK
 from torchid.robot.model import Robot
+from torchid_bench.benchmarks.runner import command
 
 NOISE = 0.01
 """Of a joint's torque, as a share of its RMS."""
@@ -84,11 +84,13 @@ def published(name: str) -> Path:
     return found[0]
 
 
-def identify(options: argparse.Namespace) -> None:
+def identify(
+    *, robot: str = "g1_29dof_rev_1_0", seconds: float = 60.0, rate: float = 500.0, seed: int = 0
+) -> None:
     """Cost and errors of an identification."""
-    path = published(options.robot)
-    robot = torchid.load_robot(path)
-    draw = np.random.default_rng(options.seed)
+    path = published(robot)
+    arm = torchid.load_robot(path)
+    draw = np.random.default_rng(seed)
     records = [
         {"effect": name, "joint": j + 1, key: float(draw.uniform(low, high))}
         for name, key, low, high in (
@@ -96,27 +98,24 @@ def identify(options: argparse.Namespace) -> None:
             ("coulomb_friction", "Fc", 0.1, 0.6),
             ("rotor_inertia", "Ia", 0.005, 0.03),
         )
-        for j in range(robot.n)
+        for j in range(arm.n)
     ]
-    robot = replace(robot, effects=tuple(records))
-    t, q, dq, ddq = sines(robot, options.seconds, options.rate, options.seed)
-    rigid = torch.from_numpy(pinocchios(path, robot, q, dq, ddq))
+    arm = replace(arm, effects=tuple(records))
+    t, q, dq, ddq = sines(arm, seconds, rate, seed)
+    rigid = torch.from_numpy(pinocchios(path, arm, q, dq, ddq))
     motion = Motion(*map(torch.from_numpy, (q, dq, ddq)))
-    tau = rigid + effect_torque(robot, nominal_effects(robot), motion, rigid)
+    tau = rigid + effect_torque(arm, nominal_effects(arm), motion, rigid)
     noise = torch.from_numpy(draw.standard_normal(tau.shape)) * NOISE * tau.square().mean(0).sqrt()
     log = torchid.Log(t, q, tau=tau + noise)
     names = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     before, begun = time.process_time(), time.perf_counter()
-    found = torchid.identify(robot, log, settings=torchid.Settings(effects=names))
+    found = torchid.identify(arm, log, settings=torchid.Settings(effects=names))
     cpu, wall = time.process_time() - before, time.perf_counter() - begun
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
-    off = (found.values - nominal_values(robot, found.base)) / found.covariance.diagonal().sqrt()
+    off = (found.values - nominal_values(arm, found.base)) / found.covariance.diagonal().sqrt()
     held = found.held_out or found.fit
-    print(f"{robot.name}: {robot.n} joints, {len(found.base)} base parameters and coefficients")
-    print(
-        f"{options.seconds:g} s at {options.rate:g} Hz: {cpu:.1f} CPU s ({wall:.1f} s), "
-        f"{memory:.2f} GB at most"
-    )
+    print(f"{arm.name}: {arm.n} joints, {len(found.base)} base parameters and coefficients")
+    print(f"{seconds:g} s at {rate:g} Hz: {cpu:.1f} CPU s ({wall:.1f} s), {memory:.2f} GB at most")
     print(
         f"held-out error: {float(held.relative_percent.nanmedian()):.2f} % in the median joint, "
         f"{float(held.relative_percent.max()):.2f} % in the worst"
@@ -124,23 +123,23 @@ def identify(options: argparse.Namespace) -> None:
     print(f"errors in standard deviations: {float(off.square().mean().sqrt()):.2f} RMS")
 
 
-def arms(options: argparse.Namespace) -> None:
+def arms(*, cases: int = 8, seed: int = 0) -> None:
     """Which arm carries the wrong load."""
     from torchid_bench.withheld.case_set import write_case
 
     right, other, costs = 0, 0, []
-    for number in range(options.cases):
-        draw = np.random.default_rng([options.seed, number])
+    for number in range(cases):
+        draw = np.random.default_rng([seed, number])
         side, link = int(draw.integers(2)), int(draw.integers(3, 8))
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "case"
             # Drawn as any case with one effect, but for the joint.
-            key = _heavier(place, options.seed, number, 8 * side + link, write_case)
+            key = _heavier(place, seed, number, 8 * side + link, write_case)
             robot = torchid.load_robot(place / "robot.urdf")
             log = torchid.read_log(place / "log.parquet")
-        before = time.process_time()
-        found = torchid.diagnose(robot, log)
-        costs.append(time.process_time() - before)
+            before = time.process_time()
+            found = torchid.diagnose(robot, log)
+            costs.append(time.process_time() - before)
         # Links of bodies, and joints of other causes, by the arm that they are of: 8 joints each.
         links = [k for one in found.which if one.effect == LINK for k in one.at]
         named = [k // 8 for k in links]
@@ -153,7 +152,7 @@ def arms(options: argparse.Namespace) -> None:
             flush=True,
         )
     print(
-        f"the arm named {right} of {options.cases}; the other arm {other} times; "
+        f"the arm named {right} of {cases}; the other arm {other} times; "
         f"{np.mean(costs):.0f} CPU s a case"
     )
 
@@ -173,13 +172,4 @@ def _heavier(place: Path, seed: int, number: int, joint: int, write_case) -> dic
 
 
 if __name__ == "__main__":
-    torch.set_num_threads(1)
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("identify", "arms"))
-    parser.add_argument("--robot", default="g1_29dof_rev_1_0")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--rate", type=float, default=500.0)
-    parser.add_argument("--cases", type=int, default=8)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    {"identify": identify, "arms": arms}[given.what](given)
+    command(identify, arms)

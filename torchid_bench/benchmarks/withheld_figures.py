@@ -1,5 +1,5 @@
-"""Figures of a score: what was planted and what was named for it, how sure and how often right, and from
-which size on. `withheld_score.py` draws them."""
+"""Figures of a score: what was planted and what was named for it, and how sure and how often right.
+`withheld_score.py` draws them."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from torchid.report.colours import BLUE, GREY, INK, ORANGE
+from torchid.report.colours import BLUE, GREY, INK
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -16,11 +16,7 @@ from torchid.report.panels import (
     new_figure,
     panel,
     shaded_map,
-    tiles,
 )
-
-_COLUMNS = 3
-_TICKS = (0.1, 0.3, 1, 3, 10, 30, 100)
 
 Matrix = Mapping[str, Mapping[str, int]]
 
@@ -31,8 +27,6 @@ def figures(summary: Mapping[str, Any]) -> Figures:
     inside, outside = scores["confusion"], scores["confusion_outside"]
     if inside or outside:
         out["confusion"] = partial(confusion_figure, inside, outside)
-    if scores["detection"]:
-        out["detection"] = partial(detection_figure, scores["detection"])
     if scores["how_sure"]["curve"]:
         out["reliability"] = partial(reliability_figure, scores["how_sure"]["curve"])
     return out
@@ -89,43 +83,6 @@ def confusion_figure(inside: Matrix, outside: Matrix) -> Figure:
     axes.set_xlabel("named first", fontsize=SMALL, color=INK)
     axes.set_ylabel("planted", fontsize=SMALL, color=INK)
     return finish(figure, "What was planted and what was named first (number of cases)")
-
-
-def detection_figure(curves: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
-    """Shares of cases detected and named over the planted size, one panel a family, with 95 %
-    intervals."""
-    columns = min(_COLUMNS, len(curves))
-    names, width = [_words(name) for name in curves], max(4.4, 3.2 * columns)
-    figure, grid = tiles(
-        names,
-        columns,
-        width,
-        (2.2, 1.3),
-        "size / noise",
-        "cases [%]",
-        "left",
-        sharex=True,
-        sharey=True,
-    )
-    levels = sorted({point["level"] for points in curves.values() for point in points})
-    low, high = 0.8 * levels[0], 1.25 * levels[-1]
-    ticks = [x for x in _TICKS if low <= x <= high]
-    for axes, points in zip(grid, curves.values(), strict=True):
-        x = [point["level"] for point in points]
-        for which, colour, style in (("detected", ORANGE, (0, (4, 2))), ("named", BLUE, "-")):
-            rates = [point[which] for point in points]
-            axes.fill_between(
-                x, [100 * r["ci95"][0] for r in rates], [100 * r["ci95"][1] for r in rates],
-                color=colour, alpha=0.13, linewidth=0,
-            )  # fmt: skip
-            axes.plot(
-                x, [100 * r["share"] for r in rates], color=colour, linestyle=style, marker="o",
-                markersize=3, linewidth=1.5, label=f"{which} (band: 95 %)",
-            )  # fmt: skip
-        axes.set(xscale="log", xlim=(low, high), ylim=(-4, 104))
-        axes.set_xticks(ticks, [f"{x:g}" for x in ticks])
-        axes.minorticks_off()
-    return finish(figure, "Detected and named, by the size of what was planted", grid[0], columns=2)
 
 
 def _words(name: str) -> str:

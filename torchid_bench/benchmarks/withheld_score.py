@@ -16,7 +16,6 @@ Answers lie beside the set, not in it, and are kept as long as the diagnosis doe
   arm without the effects, whose model is right.
 """
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -37,11 +36,11 @@ from torchid.gap.settings import GapSettings
 from torchid.json_data import plain, read_json, write_json
 from torchid.log.columns import log_from_columns
 from torchid.log.model import Log
-from torchid.parallel.workers import Progress
 from torchid.report.panels import save
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
+from torchid_bench.benchmarks.runner import command
 from torchid_bench.benchmarks.withheld_beside import ALL_LINES, beside, closed_by
 from torchid_bench.benchmarks.withheld_figures import figures
 from torchid_bench.benchmarks.withheld_page import markdown
@@ -66,28 +65,23 @@ def _beside(
     wanted: Mapping[str, GapSettings | None],
     method: Callable[[Job], dict[str, Any]] | None,
     jobs: int,
-    progress: Progress | None,
 ) -> Answers:
     """Answers of a method to cases, each with its settings, in a folder beside the set: they belong
     to it but must not lie in it."""
     folder = cases.folder.parent / f"{cases.folder.name}.{what}"
     folder.mkdir(exist_ok=True)
     todo = [job_of(cases, case, folder / f"{case}.json", own) for case, own in wanted.items()]
-    return run(todo, method=method, jobs=jobs, again=True, progress=progress)
+    return run(todo, method=method, jobs=jobs, again=True)
 
 
 def oracle_answers(
-    cases: CaseSet,
-    keys: Sequence[dict[str, Any]],
-    wanted: Sequence[str],
-    jobs: int,
-    progress: Progress | None,
+    cases: CaseSet, keys: Sequence[dict[str, Any]], wanted: Sequence[str], jobs: int
 ) -> Answers:
     """Answers of the diagnosis that is told, by case with one effect of the library."""
     single = [key for key in keys if key["kind"] == "single" and key["id"] in wanted]
     settings = {key["id"]: told(key, GapSettings()) for key in single}
     known = {case: own for case, own in settings.items() if own is not None}
-    return _beside("oracle", cases, known, None, jobs, progress)
+    return _beside("oracle", cases, known, None, jobs)
 
 
 def told(key: Mapping[str, Any], settings: GapSettings) -> GapSettings | None:
@@ -113,19 +107,13 @@ def true_shares(
     keys: list[dict[str, Any]],
     answers: Mapping[str, Mapping[str, Any]],
     jobs: int,
-    progress: Progress | None,
 ) -> dict[str, float]:
-    """True closed shares, by case, where a diagnosis gave an interval of one.
-
-    Args:
-        cases, keys, answers: of the set; keys opened.
-        jobs: processes.
-        progress: called with (stage, done, total).
-    """
+    """True closed shares, by case of a set with its keys opened, where a diagnosis gave an interval
+    of one."""
     lasting = [k["id"] for k in keys if not any(e["name"] in EVENTS for e in k["effects"])]
     far = {case: answers.get(case, {}).get("how_far") or {} for case in lasting}
     wanted = dict.fromkeys(case for case in lasting if far[case].get("closed_ci95") is not None)
-    found = _beside("truth", cases, wanted, partial(truth_case, cases), jobs, progress)
+    found = _beside("truth", cases, wanted, partial(truth_case, cases), jobs)
     return {case: float(f["closed"]) for case, f in found.items() if f.get("closed") is not None}
 
 
@@ -204,38 +192,37 @@ def true_share(
     return None if share != share else share
 
 
-def main() -> None:
-    """Score a set, and write score.json, score.md and its figures."""
-    parser = argparse.ArgumentParser(description="Score a set beside its references.")
-    parser.add_argument("folder", type=Path, help="a set of cases, from `torchid withheld make`")
-    parser.add_argument("--keys", type=Path, help="what was planted (default: DIR.keys.json)")
-    parser.add_argument("--out", type=Path, required=True)
-    for name in ("oracle", "truth"):
-        parser.add_argument(f"--no-{name}", action="store_true")
-    parser.add_argument("--partial", action="store_true", help="leave out unanswered cases")
-    parser.add_argument("--jobs", type=int, default=cpu_count())
-    given = parser.parse_args()
-    cases = read_cases(given.folder)
-    keys = read_keys(cases, given.keys or keys_beside(given.folder))
+def main(
+    folder: Path,
+    *,
+    out: Path,
+    keys: Path | None = None,
+    no_oracle: bool = False,
+    no_truth: bool = False,
+    partial: bool = False,
+    jobs: int = cpu_count(),
+) -> None:
+    """Score a set, and write score.json, score.md and its figures; `partial` leaves out cases
+    without an answer."""
+    cases = read_cases(folder)
+    opened = read_keys(cases, keys or keys_beside(folder))
     answers = read_answers(cases)
-    require_answers(cases, answers, partial=given.partial)
+    require_answers(cases, answers, partial=partial)
     # Beside answers on commands and positions there is no other method of torques.
-    torque, wanted, jobs = cases.kind == "torque", tuple(answers), given.jobs
-    oracle = truth = None
-    if torque and not given.no_oracle:
-        oracle = oracle_answers(cases, keys, wanted, jobs, None)
-    if torque and not given.no_truth:
-        truth = true_shares(cases, keys, answers, jobs, None)
-    result = summary(cases, keys, answers)
-    ours = [scored_case(key, answers[key["id"]]) for key in keys if key["id"] in answers]
-    closed = None if oracle is None else closed_by(oracle)
-    result["scores"] |= plain(beside(ours, closed, truth))
-    given.out.mkdir(parents=True, exist_ok=True)
-    write_json(result, given.out / "score.json")
-    drawn = [save(draw(), given.out / f"{name}.png").name for name, draw in figures(result).items()]
-    (given.out / "score.md").write_text(markdown(result, drawn), encoding="utf-8")
+    torque, oracle, truth = cases.kind == "torque", None, None
+    if torque and not no_oracle:
+        oracle = closed_by(oracle_answers(cases, opened, tuple(answers), jobs))
+    if torque and not no_truth:
+        truth = true_shares(cases, opened, answers, jobs)
+    result = summary(cases, opened, answers)
+    ours = [scored_case(key, answers[key["id"]]) for key in opened if key["id"] in answers]
+    result["scores"] |= plain(beside(ours, oracle, truth))
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(result, out / "score.json")
+    drawn = [save(draw(), out / f"{name}.png").name for name, draw in figures(result).items()]
+    (out / "score.md").write_text(markdown(result, drawn), encoding="utf-8")
     print(headline(result, ALL_LINES), score_table(result, ALL_LINES).markdown(), sep="\n\n")
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -10,7 +10,6 @@ below --work, so that an interrupted zoo goes on while torchid's code is the sam
 was refused, or an answer is surely wrong.
 """
 
-import argparse
 import hashlib
 import json
 import os
@@ -23,13 +22,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from torchid.report.table import pipe_table
 from torchid.yaml_data import parsed_yaml
+from torchid_bench.benchmarks.runner import command, digest, results
 
 ROOT = Path(__file__).resolve().parents[2]
 TRUTHS, PUBLIC = (Path(__file__).with_name(f"{name}_truths.yaml") for name in ("gap", "public"))
@@ -45,6 +45,8 @@ FAULT = 70
 """Exit code of a fault of torchid."""
 ANSWER = "answer{}.json"
 """Where a row's k-th command writes its JSON."""
+ANSWERS = ROOT / "build" / "answers"
+"""Where those of diagnoses are kept for `python -m tests.golden.sentences`."""
 VERDICTS = ("right", "honest", "missed", "wrong", "refused", "crash")
 """From the best to the worst; a row is as good as the worst of its truths."""
 FAILS = ("wrong", "refused", "crash")
@@ -163,7 +165,7 @@ def _truths(entry: dict[str, Any]) -> Iterator[Truth]:
         "at_most" if "at_most" in entry else "value" if {"value", "values"} & {*entry} else "named"
     )
     values = entry.get("at_most", entry.get("values", entry.get("value", 0.0)))
-    places = [(j,) for j in joints] or [()]
+    places: list[tuple[int, ...]] = [(j,) for j in joints] or [()]
     every = values if isinstance(values, list) else [values] * len(places)
     for place, value in zip(places, every, strict=True):
         yield Truth(names, place, of, float(value), within, kind)
@@ -175,18 +177,7 @@ def row_of(name: str, entry: dict[str, Any]) -> Row:
     Raises:
         TypeError, KeyError, ValueError: the entry is not of the schema in the yaml's head.
     """
-    unknown = {*entry} - {
-        "folder",
-        "known",
-        "files",
-        "commands",
-        "log",
-        "truths",
-        "absent",
-        "silent",
-        "source",
-        "published",
-    }
+    unknown = {*entry} - {field.name for field in fields(Row)} - {"silent"}
     if unknown:
         raise ValueError(f"{name}: unknown keys {', '.join(sorted(unknown))}")
     absent = [
@@ -209,7 +200,7 @@ def row_of(name: str, entry: dict[str, Any]) -> Row:
     )
 
 
-def rows(truths: Path = TRUTHS) -> dict[str, Row]:
+def rows_of(truths: Path = TRUTHS) -> dict[str, Row]:
     """All rows of a file by name."""
     return {name: row_of(name, own) for name, own in parsed_yaml(truths.read_text()).items()}
 
@@ -231,13 +222,18 @@ def claims(document: dict[str, Any]) -> tuple[Claim, ...]:
 
 
 def _causes(document: dict[str, Any]) -> Iterator[Claim]:
-    """Causes, as sure as they are; suspects, small ones and those not testable are left open, and
-    anything is where a gap is there that no known effect explains."""
+    """Causes, as sure as they or their sets are, with the arm's values and their changes from the
+    file's; suspects, small ones and those not testable are left open, and anything is where a gap is
+    there that no known effect explains."""
     answer = document["answer"]
     for key in ("causes", "suspects", "small"):
         for c in answer[key]:
-            sizes = tuple((x, c["parameters"][x], std) for x, std in c["std"].items())
+            value, file = c["parameters"], c["file"]
+            sizes = tuple((x, value[x], std) for x, std in c["std"].items())
+            sizes += tuple((f"{x} change", v - file[x], s) for x, v, s in sizes if x in file)
             sure = c["how_sure"] if key == "causes" and c["how_sure"] is not None else 0.0
+            if sure and c["ambiguous_with"]:
+                sure = max(sure, min(1.0, sum(c["probabilities"].values())))
             yield Claim(c["effect"], tuple(c["located"]), sizes, sure, tuple(c["ambiguous_with"]))
     for c in document.get("not_testable") or ():
         yield Claim(c["effect"], tuple(c["joints"]))
@@ -459,7 +455,7 @@ def names(said: Iterable[Claim]) -> str:
 def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
     """Run a row's commands one after the other until one fails, in a folder of links; a doctor that
     finds something wrong ends nothing. The steps are without their claims."""
-    folder = work / row.name
+    folder = work / key(row)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     # What is in a row's own folder counts more than a folder of that name beside it.
@@ -470,9 +466,9 @@ def run_row(row: Row, data: Path, work: Path, limit: float) -> tuple[Step, ...]:
     for name, text in row.files:
         (folder / name).write_text(text)
     steps: list[Step] = []
-    for k, command in enumerate(row.commands):
-        steps.append(run_command(command, folder, ANSWER.format(k), limit))
-        if steps[-1].exit not in ((0, 1) if "doctor" in command else (0,)):
+    for k, line in enumerate(row.commands):
+        steps.append(run_command(line, folder, ANSWER.format(k), limit))
+        if steps[-1].exit not in ((0, 1) if "doctor" in line else (0,)):
             break
     return tuple(steps)
 
@@ -543,27 +539,28 @@ def code() -> str:
     return hashlib.sha256(b"".join(p.read_bytes() for p in files)).hexdigest()
 
 
-def measured(row: Row, data: Path, work: Path, limit: float) -> None:
-    """Run a row, and keep its result."""
+def key(row: Row) -> str:
+    """Name of a row's result: that of other commands, other files or other code has another."""
+    return f"{row.name}-{digest(code(), row.folder, row.commands, row.files)}"
+
+
+def measured(row: Row, data: Path, work: Path, limit: float) -> list[dict[str, Any]]:
+    """Run a row; its steps without their claims."""
     steps = run_row(row, data, work, limit)
-    kept = work / f"{row.name}.json"
-    plain = [{k: v for k, v in asdict(s).items() if k != "claims"} for s in steps]
-    kept.with_suffix(".part").write_text(json.dumps({"code": code(), "steps": plain}, indent=1))
-    kept.with_suffix(".part").replace(kept)
+    ANSWERS.mkdir(parents=True, exist_ok=True)
+    name = f"{'public' if row.source else 'zoo'}_{row.name}"
+    for k, asked in enumerate(row.commands[: len(steps)]):
+        if " gap " in asked and steps[k].exit == 0:
+            shutil.copy(work / key(row) / ANSWER.format(k), ANSWERS / f"{name}_{k}.json")
+    return [{k: v for k, v in asdict(s).items() if k != "claims"} for s in steps]
 
 
 def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
-    """A row's result of an earlier run, its claims read from the answers that are kept beside it;
-    none where there is none, or its commands or torchid's code were others."""
-    file = work / f"{row.name}.json"
-    if not file.exists():
-        return ()
-    result = json.loads(file.read_text())
-    kept = result["steps"]
-    asked = tuple(s["command"] for s in kept) == row.commands[: len(kept)]
-    if not asked or result["code"] != code():
-        return ()
-    answers = [work / row.name / ANSWER.format(k) for k in range(len(kept))]
+    """A row's result of this or an earlier run, its claims read from the answers that are kept
+    beside it; none where there is none."""
+    folder, file = work / key(row), work / f"{key(row)}.json"
+    kept = json.loads(file.read_text()) if file.exists() else []
+    answers = [folder / ANSWER.format(k) for k in range(len(kept))]
     told = [claims(json.loads(a.read_text())) if a.exists() else () for a in answers]
     return tuple(Step(**s, claims=c) for s, c in zip(kept, told, strict=True))
 
@@ -593,7 +590,7 @@ parts names of a set.
 """
 
 
-def page(
+def page_of(
     measured_rows: dict[str, tuple[Row, tuple[Step, ...]]],
     every: Sequence[str],
     public: bool = False,
@@ -611,10 +608,8 @@ def page(
         sure=SURE,
     )
     titles = ["row", "log", "known", "CPU s", "exit", "headline", "names above 0.9", "truths"]
-    titles += ["published by others"] if public else []
-    lines = [f"| {' | '.join(titles)} | verdict |"]
-    lines.append("|---|---|---|--:|" + "---|" * (len(titles) - 3))
-    total = 0.0
+    titles += ["published by others", "verdict"] if public else ["verdict"]
+    body, total = [], 0.0
     for name, (row, steps) in measured_rows.items():
         verdict, why = judged(row, steps)
         counts[verdict] += 1
@@ -624,13 +619,13 @@ def page(
         sure = [c for c in last.claims if c.sure > SURE]
         if any(c.name == "base_parameter" for c in sure):
             sure = []  # numbers of a fit are no names of causes
-        if why == last.headline:
-            why = ""
+        why = "" if why == last.headline else why
         codes = " ".join("-" if s.exit is None else str(s.exit) for s in steps)
         cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, _text(last.headline))
         others = (_text(row.published),) if public else ()
-        told = (*cells, names(sure), _text(why), *others, f"**{verdict}**")
-        lines.append(f"| {' | '.join(told)} |")
+        body.append((*cells, names(sure), _text(why), *others, f"**{verdict}**"))
+    marks = ["--:" if title == "CPU s" else "---" for title in titles]
+    lines = [pipe_table(titles, body, marks)]
     listed = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
     lines += ["", f"**{len(measured_rows)} rows: {listed}; {total:.0f} CPU s.**"]
     left = [name for name in every if name not in measured_rows]
@@ -652,47 +647,41 @@ def _text(text: str, longest: int = 400) -> str:
     return one if len(one) <= longest else one[: longest - 1] + "…"
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--public", action="store_true", help="labels that others gave")
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("--rows", help="names, comma-separated; all if absent")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--limit", type=float, default=3600.0, help="seconds of a command")
-    parser.add_argument("--work", type=Path, default=ROOT / "build" / "zoo")
-    parser.add_argument("--again", action="store_true", help="measure what is kept, too")
-    parser.add_argument("--page", type=Path, help="write the page of all kept rows")
-    given = parser.parse_args()
-    given.data = given.data or (PUBLIC_DATA if given.public else DATA)
-    if not given.data.is_dir():
-        named = "TORCHID_PUBLIC_DATA" if given.public else "TORCHID_REAL_DATA"
-        print(f"The zoo is skipped: no folder of real logs at {given.data} ({named} names one).")
+def main(
+    *,
+    public: bool = False,
+    data: Path | None = None,
+    rows: tuple[str, ...] = (),
+    jobs: int = 1,
+    limit: float = 3600.0,
+    work: Path = ROOT / "build" / "zoo",
+    page: Path | None = None,
+) -> int:
+    """Run rows (all), each command for so many seconds at most, and write the page of all rows that
+    are kept below `work`."""
+    data = data or (PUBLIC_DATA if public else DATA)
+    if not data.is_dir():
+        named = "TORCHID_PUBLIC_DATA" if public else "TORCHID_REAL_DATA"
+        print(f"The zoo is skipped: no folder of real logs at {data} ({named} names one).")
         return 0
-    every = rows(PUBLIC if given.public else TRUTHS)
-    asked = given.rows.split(",") if given.rows else list(every)
-    if unknown := [name for name in asked if name not in every]:
-        parser.error(f"no row {', '.join(unknown)}; there are {', '.join(every)}")
-    absent = [name for name in asked if not (given.data / every[name].folder).is_dir()]
-    asked = [name for name in asked if name not in absent]
-    if absent:
+    every = rows_of(PUBLIC if public else TRUTHS)
+    if unknown := [name for name in rows if name not in every]:
+        print(f"no row {', '.join(unknown)}; there are {', '.join(every)}")
+        return 2
+    asked = {name: every[name] for name in rows or every if (data / every[name].folder).is_dir()}
+    if absent := [name for name in rows or every if name not in asked]:
         print(f"Not there, so left out: {', '.join(absent)}.")
-    given.work.mkdir(parents=True, exist_ok=True)
-    waiting = [n for n in asked if given.again or not kept_steps(every[n], given.work)]
-    started = time.monotonic()
-    with ProcessPoolExecutor(given.jobs) as pool:
-        runs = {
-            name: pool.submit(measured, every[name], given.data, given.work.resolve(), given.limit)
-            for name in waiting
-        }
-        for name, run in runs.items():
-            run.result()
-            verdict, why = judged(every[name], kept_steps(every[name], given.work))
-            print(f"{time.monotonic() - started:6.0f} s  {name}: {verdict}; {why}", flush=True)
-    kept = {n: (row, steps) for n, row in every.items() if (steps := kept_steps(row, given.work))}
-    if given.page:
-        given.page.write_text(page(kept, list(every), given.public))
+    work, started = work.resolve(), time.monotonic()
+    cases = {key(row): (row, data, work, limit) for row in asked.values()}
+    done = results(measured, cases, work, jobs=jobs)
+    for row, _ in zip(asked.values(), done, strict=True):
+        verdict, why = judged(row, kept_steps(row, work))
+        print(f"{time.monotonic() - started:6.0f} s  {row.name}: {verdict}; {why}", flush=True)
+    kept = {n: (row, steps) for n, row in every.items() if (steps := kept_steps(row, work))}
+    if page:
+        page.write_text(page_of(kept, list(every), public))
     return int(any(judged(*kept[name])[0] in FAILS for name in asked))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command(main)

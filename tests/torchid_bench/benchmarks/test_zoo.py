@@ -1,5 +1,6 @@
 """What the zoo calls right, honest, missed, wrong, refused and a crash; its truths; its runner."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +13,12 @@ from torchid.effects.names import NAMES
 from torchid.effects.servo import SERVO_KINDS
 from torchid.yaml_data import parsed_yaml
 from torchid_bench.benchmarks import zoo
+from torchid_bench.benchmarks.runner import results
 
 DOCTOR = Path(zoo.ROOT, "torchid", "doctor")
 QUANTITIES = {"kp", "base_parameter", "relative_error", "relative_error_moving"}
-ROWS = zoo.rows()
-PUBLIC = zoo.rows(zoo.PUBLIC)
+ROWS = zoo.rows_of()
+PUBLIC = zoo.rows_of(zoo.PUBLIC)
 
 
 def entry(**more: Any) -> dict[str, Any]:
@@ -31,7 +33,8 @@ def cause(
     """A cause of an answer's JSON; sizes as name=(value, std)."""
     instead = more.pop("instead", ())
     return {
-        "effect": effect, "located": joints, "how_sure": sure, "ambiguous_with": instead,
+        "effect": effect, "file": {}, "probabilities": {}, "located": joints,
+        "how_sure": sure, "ambiguous_with": instead,
         "parameters": {n: v for n, (v, _) in more.items()},
         "std": {n: s for n, (_, s) in more.items()},
     }  # fmt: skip
@@ -227,11 +230,13 @@ def test_a_row_runs_and_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setattr(zoo, "_headline", lambda *_: "Friction.")
     row = zoo.row_of("row", entry(truths=[{"is": ["coulomb_friction"], "joints": [1]}]))
-    zoo.measured(row, data, work, limit=60.0)
+    monkeypatch.setattr(zoo, "ANSWERS", tmp_path / "answers")
+    list(results(zoo.measured, {zoo.key(row): (row, data, work, 60.0)}, work))
+    assert json.loads((tmp_path / "answers" / "zoo_row_0.json").read_text())["answer"]
     steps = zoo.kept_steps(row, work)
     assert [s.exit for s in steps] == [0]
     assert steps[0].seconds > 0
-    text = zoo.page({"row": (row, steps)}, ["row", "later"])
+    text = zoo.page_of({"row": (row, steps)}, ["row", "later"])
     assert (
         "Friction. | coulomb_friction 1 | 1 of 1 right; right: coulomb_friction 1 | **right**"
         in text
@@ -239,7 +244,7 @@ def test_a_row_runs_and_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "1 rows: 1 right" in text
     assert "Not measured yet: later." in text
     row = replace(row, source="https://arm at 1; MIT", published="7 %")
-    text = zoo.page({"row": (row, steps)}, ["row"], public=True)
+    text = zoo.page_of({"row": (row, steps)}, ["row"], public=True)
     assert "right: coulomb_friction 1 | 7 % | **right** |" in text
     assert "- https://arm at 1; MIT\n" in text
     assert (
@@ -258,18 +263,14 @@ def test_a_command_that_takes_too_long_is_a_crash(
 
 
 def test_without_logs_it_says_so_and_ends_well(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["zoo.py", "--data", str(tmp_path / "absent")])
-    assert zoo.main() == 0
+    assert zoo.main(data=tmp_path / "absent") == 0
     assert capsys.readouterr().out.startswith("The zoo is skipped: no folder of real logs at")
 
 
 def test_rows_whose_folder_is_absent_are_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        "sys.argv", ["zoo.py", "--data", str(tmp_path), "--work", str(tmp_path / "w")]
-    )
-    assert zoo.main() == 0
+    assert zoo.main(data=tmp_path, work=tmp_path / "w") == 0
     assert capsys.readouterr().out == f"Not there, so left out: {', '.join(ROWS)}.\n"

@@ -41,7 +41,7 @@ def test_what_the_library_lacks_cannot_be_told():
 def test_it_finds_what_it_is_told_and_nothing_else(plant, tmp_path):
     made = make(tmp_path / "set", 3, seed=7)
     keys = read_keys(made, keys_beside(made.folder))
-    found = oracle_answers(made, keys, made.ids, 1, None)
+    found = oracle_answers(made, keys, made.ids, 1)
     assert list(found) == ["case-0001"]  # the only one with an effect of the library
     assert [(w["effect"], w["joints"]) for w in found["case-0001"]["which"]] == [
         ("coulomb_friction", [2])
@@ -55,7 +55,7 @@ def test_told_of_another_joint_it_finds_nothing(plant, tmp_path):
     made = make(tmp_path / "set", 1, seed=7)
     key = key_of(draw_case(7, 0)) | {"id": "case-0001"}
     key["effects"][0]["joints"] = [1]
-    found = oracle_answers(made, [key], made.ids, 1, None)["case-0001"]
+    found = oracle_answers(made, [key], made.ids, 1)["case-0001"]
     assert 2 not in {j for w in found["which"] for j in w["joints"]}
     assert found["status"] != "error"
     assert (closed_by({"case-0001": found})["case-0001"] or 0.0) < 0.2

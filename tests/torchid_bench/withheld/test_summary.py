@@ -114,8 +114,3 @@ def test_figures_are_drawn_of_what_there_is(cases, keys, answers):
     axes = figures(found)["confusion"]().axes[0]
     assert [t.get_text() for t in axes.get_yticklabels()] == ["coulomb friction", "air drag"]
     assert "viscous friction" in [t.get_text() for t in axes.get_xticklabels()]
-    keys[1] |= {"kind": "severity", "level": 5.0}
-    found = summary(cases, keys, answers)
-    assert set(figures(found)) == {"confusion", "detection"}
-    panel = figures(found)["detection"]().axes[0]
-    assert [line.get_ydata().tolist() for line in panel.lines] == [[100.0], [100.0]]

@@ -82,17 +82,17 @@ def test_cases_with_an_interval_are_simulated_again(plant, tmp_path):
         "case-0002": answered(made, "case-0002", 0.5 * TRUE),
         "case-0003": {"status": "no_gap", "how_far": {"closed_ci95": None}},
     }
-    found = true_shares(made, keys, answers, 1, None)
+    found = true_shares(made, keys, answers, 1)
     assert found == pytest.approx({"case-0001": 1.0, "case-0002": 0.5}, abs=0.03)
     keys[0]["effects"][0]["name"] = "contact"  # it happened once: no model predicts it
-    assert set(true_shares(made, keys, answers, 1, None)) == {"case-0002"}
+    assert set(true_shares(made, keys, answers, 1)) == {"case-0002"}
 
 
 def test_another_simulator_is_not_taken_for_the_truth(plant, tmp_path):
     made = make(tmp_path / "set", 1, seed=7)
     keys = read_keys(made, keys_beside(made.folder))
     answers = {"case-0001": answered(made, "case-0001", TRUE)}
-    assert true_shares(replace(made, seed=7), keys, answers, 1, None)
+    assert true_shares(replace(made, seed=7), keys, answers, 1)
 
     def other(spec, **how):
         found = simulate_case(spec, **how)
@@ -100,6 +100,6 @@ def test_another_simulator_is_not_taken_for_the_truth(plant, tmp_path):
 
     plant.simulate_case = other
     (tmp_path / "set.truth" / "case-0001.json").unlink()
-    assert true_shares(made, keys, answers, 1, None) == {}
+    assert true_shares(made, keys, answers, 1) == {}
     said = json.loads((tmp_path / "set.truth" / "case-0001.json").read_text())
     assert "simulated differently now" in said["error"]

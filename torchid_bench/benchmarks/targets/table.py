@@ -9,7 +9,6 @@ Promised is what MuJoCo does with the same file, and with what torchid adds at r
 process' environment.
 """
 
-import argparse
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +27,7 @@ from torchid.position.data import prepare
 from torchid.simulation.servo_loop import windows_of
 from torchid.simulation.shooting import starts_of
 from torchid.simulation.shooting import windows_of as torque_windows
+from torchid_bench.benchmarks.runner import command
 from torchid_bench.benchmarks.targets.motion import Played
 from torchid_bench.benchmarks.targets.play import play, python_of
 
@@ -103,31 +103,32 @@ def write(page: Path, table: list[str]) -> None:
     page.write_text(before + "\n".join(table) + "\n\n" + rest)
 
 
-def main() -> None:
-    """Print the table, and write it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--servos", nargs=2, type=Path, metavar=("YAML", "LOG"))
-    parser.add_argument("--torque", nargs=2, type=Path, metavar=("YAML", "LOG"))
-    parser.add_argument("--gain", help="drive gains K1,K2,.. of a log of currents")
-    parser.add_argument("--page", type=Path, help="whose table is replaced")
-    given = parser.parse_args()
-    table = ["| arm | target | what runs | promised | measured | largest difference |"]
-    table.append("|---|---|---|---|---|---|")
+def main(
+    *,
+    servos: tuple[Path, Path] | None = None,
+    torque: tuple[Path, Path] | None = None,
+    gain: tuple[float, ...] = (),
+    page: Path | None = None,
+) -> None:
+    """Print the table of YAML and LOG of positions, of torques (or of currents with the drives' gains),
+    and put it into a page."""
+    lines = ["| arm | target | what runs | promised | measured | largest difference |"]
+    lines.append("|---|---|---|---|---|---|")
     cases = []
-    if given.servos:
-        cases.append(by_position(given.servos[0], read_log([given.servos[1]])))
-    if given.torque:
-        log = read_log([given.torque[1]])
-        if given.gain:
-            log = log.with_torque(torch.tensor([float(k) for k in given.gain.split(",")]).double())
-        cases.append(by_torque(given.torque[0], log))
+    if servos:
+        cases.append(by_position(servos[0], read_log([servos[1]])))
+    if torque:
+        log = read_log([torque[1]])
+        cases.append(
+            by_torque(torque[0], log.with_torque(torch.tensor(gain).double()) if gain else log)
+        )
     for case in cases:
         for line in rows(*case):
             print(line, flush=True)
-            table.append(line)
-    if given.page:
-        write(given.page, table)
+            lines.append(line)
+    if page:
+        write(page, lines)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)
