@@ -42,12 +42,14 @@ test-slow: $(VENV)/.dev
 	$(PYTEST) $(TWO) -m "(slow or real) and not nightly"
 
 # All that takes longer: types in every quick test, rates over hundreds of runs. Property
-# tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's.
+# tests draw from a seed of the day, which pytest prints; SEED=20261126 repeats that night's. At the
+# end stands which answers, of the zoo too, break a rule of what is said of them.
 nightly: SEED ?= $(shell date +%Y%m%d)
 nightly: $(VENV)/.dev
 	TORCHID_TYPES="torchid torchid_study torchid_bench.withheld" $(PYTEST) $(TWO) $(QUICK) --hypothesis-seed=$(SEED)
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
 	$(MAKE) --no-print-directory zoo
+	$(BIN)/python -m tests.golden.sentences -v
 
 # Public logs of real arms, with the commands that their owners would type and what is known of them:
 # half an hour of CPU, and one line where the logs are absent. What is in build/zoo is not run again; an

@@ -30,7 +30,7 @@ TUTORIAL = ROOT / "docs/tutorial.md"
 PYTHON = ROOT / "docs/python.md"
 SMALLER = {
     " --cases 40": " --cases 1",
-    " --calibrate 30": " --calibrate 1",
+    " --causes 30": " --causes 1",
     " --runs 10": " --runs 2 --stages 2",
     "3r --kind random": "3r --kind random --duration 5",
     "--workers 8": "--workers 1",

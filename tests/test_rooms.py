@@ -1,8 +1,15 @@
-"""No room of the package is larger than its budget."""
+"""No room of the package is larger than its budget, and no budget is raised that none pays."""
 
+import subprocess
 from collections import Counter
+from pathlib import Path
 
-from tests.rooms import above, code_lines
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests import rooms
+from tests.rooms import Budgets, above, budgets, code_lines, start, unpaid
 
 TEXT = '''"""A module.
 
@@ -29,3 +36,88 @@ def test_a_room_above_its_budget_or_without_one_is_named():
     assert above(Counter(a=5, b=1), {"a": 4}) == [
         "a: 5 lines of code, budget 4", "b: 1 lines of code, budget none",
     ]  # fmt: skip
+
+
+def test_a_landing_pays_for_what_it_raises():
+    began = start()
+    if began is None:
+        pytest.skip("git has no earlier budgets here: nothing is compared")
+    assert unpaid(began[1], budgets()) == []
+
+
+LINES = st.dictionaries(st.sampled_from("abcd"), st.integers(0, 50), max_size=4)
+
+
+@given(before=LINES, now=LINES)
+def test_only_a_sum_that_rises_is_refused(before: dict[str, int], now: dict[str, int]):
+    wrong = unpaid(Budgets(before), Budgets(now))
+    assert bool(wrong) == (sum(now.values()) > sum(before.values()))
+    raised = {room for room, lines in now.items() if lines > before.get(room, 0)}
+    assert all(f"{room} +" in wrong[0] for room in raised if wrong)
+
+
+def test_a_room_that_replaces_another_has_its_own_line_until_the_switch():
+    before, building = Budgets({"old": 9, "b": 3}), {"new": "old"}
+    both = Budgets(before.lines | {"new": 6}, building)
+    assert unpaid(before, both) == []
+    assert unpaid(both, Budgets({"b": 3, "new": 6})) == []
+    assert unpaid(both, Budgets(both.lines)) == [
+        "budgets rise by 6 lines, which no fall pays: new +6"
+    ]
+    assert unpaid(both, Budgets({"b": 3, "new": 6}, building)) == [
+        "new replaces old, which has no budget: take it out of [replaces]"
+    ]
+    assert unpaid(before, Budgets(before.lines | {"new": 10}, building)) == [
+        "new: 10 lines replace the 9 of old"
+    ]
+
+
+def test_budgets_are_read_as_they_are_written():
+    one = Budgets({"a": 3, "new": 2}, {"new": "a"})
+    assert Budgets.parse(one.text) == one
+
+
+@pytest.fixture
+def history(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository whose main has budgets of 1 and of 2, and a branch from there with 3 and 4."""
+    file = tmp_path / "rooms.toml"
+    monkeypatch.setattr(rooms, "ROOT", tmp_path)
+    monkeypatch.setattr(rooms, "BUDGETS", file)
+
+    def commit(lines: int) -> None:
+        file.write_text(Budgets({"a": lines}).text)
+        git(tmp_path, "add", ".")
+        git(tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-qm", str(lines))
+
+    git(tmp_path, "init", "-q", "-b", "main")
+    commit(1)
+    commit(2)
+    git(tmp_path, "checkout", "-qb", "branch")
+    commit(3)
+    commit(4)
+    return file
+
+
+def git(folder: Path, *arguments: str) -> None:
+    subprocess.run(["git", *arguments], cwd=folder, check=True, capture_output=True)
+
+
+def begun_with() -> int | None:
+    """The budget of `a` where the landing starts."""
+    began = start()
+    return began[1].lines["a"] if began else None
+
+
+def test_a_landing_starts_where_it_left_main(history: Path):
+    assert begun_with() == 2
+    git(history.parent, "checkout", "-q", "main")
+    assert begun_with() == 1
+    history.write_text(Budgets({"a": 9}).text)
+    assert begun_with() == 2
+
+
+def test_without_git_nothing_is_compared(history: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("GIT_DIR", str(history.parent / "none"))
+    assert start() is None
+    monkeypatch.setenv("PATH", "")
+    assert start() is None

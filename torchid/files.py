@@ -92,6 +92,11 @@ def require_name(name: str) -> None:
         raise TorchidError("the name is that of a file, without folder.", got=name)
 
 
+def rows_file(model: Path) -> Path:
+    """Beside a model's file, the log that it was made from."""
+    return model.with_suffix(".rows.npz")
+
+
 def similar_files(path: Path, suffixes: Iterable[str] = ()) -> list[str]:
     """Files beside one that is not there and may be meant: of these suffixes, if there are any,
     and with a name or stem like its own, the nearest first."""

@@ -94,8 +94,9 @@ def joint_signals(n: int, **signals: Numbers) -> list[Tensor]:
                 expected=f"(..., {n})",
             )
     try:
-        torch.broadcast_shapes(*(tensor.shape for tensor in tensors.values()))
-    except RuntimeError as error:
+        # Not torch.broadcast_shapes, whose first call imports sympy: more than a second.
+        np.broadcast_shapes(*(tensor.shape for tensor in tensors.values()))
+    except ValueError as error:
         raise TorchidError(
             f"{', '.join(tensors)} do not go together.",
             got=f"shapes {', '.join(str(tuple(tensor.shape)) for tensor in tensors.values())}",

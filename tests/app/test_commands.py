@@ -108,7 +108,7 @@ def test_identify_writes_everything(command, folder, tmp_path):
     out, target = tmp_path / "result", tmp_path / "result.json"
     shown = command(
         "identify", "3r_friction", folder / "fit.parquet", "--held-out", folder / "check.csv",
-        "--cutoff", "8", "--out", out, "--json", target,
+        "--cutoff", "8", "--out", out, "--pictures", "--json", target,
     )  # fmt: skip
     assert shown.code == 0, shown.err
     assert "15 base parameters of 3r_friction" in shown.out
@@ -198,7 +198,7 @@ def test_currents_need_gains(command, broken, tmp_path):
 @pytest.mark.slow
 def test_excite_simulate_identify(command, tmp_path):
     """The three commands hand files to each other."""
-    made = command("excite", "3r_friction", "--restarts", 2, "--out", tmp_path, "--seed", 1)
+    made = command("excite", "3r_friction", "--restarts", 2, "--out", tmp_path, "--pictures")
     assert made.code == 0, made.err
     record = json.loads((tmp_path / "excitation.json").read_text())
     assert record["condition_number_after"][0] < 0.5 * record["condition_number_before"][0]
@@ -313,7 +313,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
     [
         ("init run.csv --robot 3r", "--columns"),
         ("fleet watch 3r logs", "torchid compare"),
-        ("withheld own 3r run.csv", "--calibrate"),
+        ("withheld own 3r run.csv", "torchid calibrate"),
         ("gap 3r run.csv --no-rollout", "leave it out"),
         ("correct 3r run.csv --to urdf --rollout", "torchid correct"),
         ("identify --project none", "--columns"),

@@ -16,7 +16,8 @@ def results(tmp_path_factory):
 
 
 def test_compare_writes_and_says_the_verdict_first(command, results, tmp_path):
-    done = command("compare", *results, "--out", tmp_path / "out", "--json", tmp_path / "c.json")
+    asked = ("--out", tmp_path / "out", "--pictures", "--json", tmp_path / "c.json")
+    done = command("compare", *results, *asked)
     assert done.code == 0, done.err
     assert done.out.startswith("3 identifications of 3r_friction")
     data = json.loads((tmp_path / "c.json").read_text())

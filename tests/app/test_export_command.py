@@ -120,7 +120,7 @@ def test_links_of_no_material_are_named(tmp_path):
 
 
 @pytest.mark.slow
-def test_how_wide_to_randomise(tmp_path):
+def test_how_wide_to_randomise(tmp_path, monkeypatch):
     """From a diagnosis to files of ranges and draws, and their record read back."""
     from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, friction, logged
     from torchid.gap.diagnose import diagnose
@@ -141,6 +141,15 @@ def test_how_wide_to_randomise(tmp_path):
         run(gap, "--randomise", "0.9", "--to", "mjcf")
     with pytest.raises(TorchidError, match="nothing to write"):
         run(gap)
+
+    def broken(*_: object) -> None:
+        raise TorchidError("broken")
+
+    # Ranges and draws come with their JSON, or not at all.
+    monkeypatch.setattr("torchid.report.exported.report_of_randomisation", broken)
+    with pytest.raises(TorchidError, match="broken"):
+        run(gap, "--randomise", "0.9", "--draws", "32", "--out", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.mark.parametrize("to", ["isaaclab", "mjlab"])

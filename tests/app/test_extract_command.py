@@ -29,7 +29,7 @@ def identified(folder, tmp_path_factory):
 
 
 def test_nominal_parameters_are_recovered_as_feasible_sets(command, tmp_path):
-    shown = command("extract", "3r", *SMALL, "--out", tmp_path)
+    shown = command("extract", "3r", *SMALL, "--out", tmp_path, "--pictures")
     assert shown.code == 0, shown.err
     data = json.loads((tmp_path / "extraction.json").read_text())
     assert data["schema"] == "torchid.extraction/1"
@@ -210,7 +210,7 @@ def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified
 
 @pytest.mark.slow
 def test_atlas(command, tmp_path, identified):
-    shown = command("atlas", "3r_friction", identified, "--out", tmp_path)
+    shown = command("atlas", "3r_friction", identified, "--out", tmp_path, "--pictures")
     assert shown.code == 0, shown.err
     data = json.loads((tmp_path / "atlas.json").read_text())
     rows = {p["name"]: p for p in data["parameters"]}

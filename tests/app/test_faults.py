@@ -181,7 +181,8 @@ def test_files_are_there_where_nothing_can_be_printed(tmp_path, where) -> None:
 @pytest.mark.slow
 def test_a_backend_that_is_not_there_is_no_matter(tmp_path) -> None:
     """Commands draw into files only."""
-    asked = ("excite", "3r", "--kind", "random", "--duration", "2", "--out", str(tmp_path))
+    asked = ("excite", "3r", "--kind", "random", "--duration", "2", "--pictures")
+    asked += ("--out", str(tmp_path))
     done = program("", *asked, env={**os.environ, "MPLBACKEND": "nonsense"})
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "trajectory_1.png").exists()

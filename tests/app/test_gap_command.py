@@ -2,11 +2,14 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from tests.marks import quick_first
 from tests.position.planted import planted, true_servos
+from torchid.app.gap import _Asked
+from torchid.app.output import Output
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.readers import write_log
@@ -144,6 +147,29 @@ def test_a_later_log_is_held_against_an_earlier_one(command, runs, tmp_path, typ
     assert not (tmp_path / "private.rows.npz").exists()
 
 
+def test_a_time_that_does_not_suffice_gives_a_whole_answer(command, runs, tmp_path, monkeypatch):
+    """It says what was not looked at, on screen and in the JSON; an ample one changes nothing."""
+    # However fast the machine is, files take all of the short time.
+    monkeypatch.setattr("torchid.app.gap.WRITING", (30.0, 0.0, 0.0, 0.0))
+    logs = [runs / f"{name}.csv" for name in ("a", "b")]
+    said = {}
+    for name, time in (("short", "1"), ("ample", "600"), ("none", None)):
+        target = tmp_path / f"{name}.json"
+        options = () if time is None else ("--time", time)
+        done = command("gap", "3r", *logs, *FEW, "--json", target, *options)
+        assert done.code == 0, done.err
+        said[name] = json.loads(target.read_text())
+        stopped = said[name].pop("stopped_after", None)
+        assert (stopped is None) == (name != "short")
+        if stopped is not None:
+            assert "further causes" in stopped["left_out"]
+            assert f"! Stopped after {stopped['seconds']:.3g} s (--time); not" in done.out
+    assert said["short"]["answer"]["causes"] == []
+    assert said["short"]["answer"]["stopped"]
+    assert said["ample"]["which"] == said["none"]["which"] != []
+    assert not (tmp_path / "so_far.json").exists()
+
+
 def test_ctrl_c_keeps_the_answer_that_stood(command, runs, tmp_path, monkeypatch):
     """Of a diagnosis that is stopped behind its search."""
 
@@ -200,12 +226,24 @@ def test_logs_that_cannot_be_used(command, runs, files, options, words):
 
 
 @pytest.mark.slow
-def test_a_folder_takes_the_same_json_and_pictures(command, runs, tmp_path):
+def test_a_folder_takes_the_same_json_and_pictures_where_they_are_asked_for(
+    command, runs, tmp_path
+):
     target, out = tmp_path / "gap.json", tmp_path / "out"
-    done = command("gap", "3r", runs / "a.csv", *FEW, "--json", target, "--out", out)
+    asked = ("gap", "3r", runs / "a.csv", *FEW, "--json", target, "--out", out)
+    done = command(*asked, "--pictures")
     assert done.code == 0, done.err
     assert json.loads((out / "gap.json").read_text()) == json.loads(target.read_text())
     assert list(out.glob("*.png"))
+    # Those of an earlier result do not stay beside another one.
+    assert command(*asked, "--overwrite").code == 0
+    assert [p.name for p in out.iterdir()] == ["gap.json"]
+
+
+def test_pictures_need_a_folder(command, runs):
+    done = command("gap", "3r", runs / "a.csv", *FEW, "--pictures")
+    assert (done.code, done.out) == (1, "")
+    assert "--pictures draws into a folder, and needs --out DIR." in done.err
 
 
 @pytest.mark.parametrize("held_out", quick_first([True, False], 1))
@@ -289,6 +327,31 @@ def test_logs_of_commands_that_are_refused(tmp_path, command, commanded, change,
     assert outcome.code == 1
     for word in words:
         assert word in outcome.err
+
+
+@pytest.mark.parametrize("name", [("calibrate", "--causes"), ("gap", "--calibrate")])
+def test_a_log_without_torque_is_no_bed_for_causes(tmp_path, command, commanded, name, monkeypatch):
+    """It is refused before it is diagnosed."""
+    monkeypatch.setattr("torchid.diagnose", lambda *_, **__: pytest.fail("diagnosed"))
+    write_log(commanded, tmp_path / "run.csv")
+    outcome = command(name[0], "3r", tmp_path / "run.csv", name[1], "2")
+    assert outcome.code == 1
+    for word in ("causes are planted in torque", "commands and positions", "tau1.."):
+        assert word in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("asked", "writing"),
+    [
+        ({}, 0.5),
+        ({"out": Path()}, 1.0),
+        ({"out": Path(), "pictures": True}, 3.0),
+        ({"report": Path("a.html")}, 4.5),
+    ],
+)
+def test_time_is_kept_for_what_is_written(asked, writing):
+    left = _Asked(time=60.0).seconds(Output(**asked))
+    assert left == pytest.approx(60.0 - writing, abs=0.2)
 
 
 @pytest.mark.slow

@@ -32,7 +32,8 @@ def run(*arguments: object, code: int = 0) -> str:
 def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_path: Path) -> None:
     before = bad.read_bytes()
     copy, out = tmp_path / "mended.parquet", tmp_path / "out"
-    text = run("log", "doctor", "3r_friction", bad, "--apply", copy, "--out", out, code=1)
+    asked = ("log", "doctor", "3r_friction", bad, "--apply", copy, "--out", out, "--pictures")
+    text = run(*asked, code=1)
     assert "degrees" in text
     first, rest = text.split("Do first: ")
     assert "Wrong: position unit." in first

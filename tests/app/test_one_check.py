@@ -46,7 +46,7 @@ COMMANDS = {
     "payload": "payload 3r GOOD --loaded LOG",
     "payload of logs without it": "payload 3r LOG --loaded GOOD",
     "correct": "correct 3r LOG --to urdf --effects coulomb_friction",
-    "pair": "gap 3r --simulated LOG --real LOG --effects coulomb_friction",
+    "pair": "pair 3r --simulated LOG --real LOG --effects coulomb_friction",
 }
 
 

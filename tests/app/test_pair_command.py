@@ -1,4 +1,4 @@
-"""`torchid gap --simulated SIM --real REAL [ROBOT]`."""
+"""`torchid pair --simulated SIM --real REAL [ROBOT]`, and what `torchid gap` has of it."""
 
 import json
 
@@ -23,7 +23,7 @@ def pair(tmp_path_factory):
 
 
 def test_a_fault_is_said_first(command, pair, tmp_path):
-    done = command("gap", "--simulated", pair / "fast.csv", "--real", pair / "real.csv",
+    done = command("pair", "--simulated", pair / "fast.csv", "--real", pair / "real.csv",
                    "--out", tmp_path)  # fmt: skip
     assert done.code == 0, done.err
     assert "2 times as long" in " ".join(done.out.split())
@@ -36,7 +36,7 @@ def test_a_fault_is_said_first(command, pair, tmp_path):
 @pytest.mark.slow
 def test_an_effect_with_a_robot(command, pair, tmp_path):
     record, model, page = (tmp_path / f"pair.{kind}" for kind in ("json", "yaml", "html"))
-    done = command("gap", "3r", "--simulated", pair / "sim.csv", "--real", pair / "real.csv",
+    done = command("pair", "3r", "--simulated", pair / "sim.csv", "--real", pair / "real.csv",
                    "--effects", "coulomb_friction,torque_offset", "--json", record,
                    "--save-model", model, "--report", page)  # fmt: skip
     assert done.code == 0, done.err
@@ -61,7 +61,7 @@ def test_an_effect_with_a_robot(command, pair, tmp_path):
         (("ur10e", *BOTH), "joint"),
     ],
 )  # fmt: skip
-def test_bad_options(command, pair, monkeypatch, arguments, words):
+def test_bad_options_of_gap(command, pair, monkeypatch, arguments, words):
     monkeypatch.chdir(pair)
     done = command("gap", *arguments)
     assert done.code == 1
@@ -70,12 +70,41 @@ def test_bad_options(command, pair, monkeypatch, arguments, words):
 
 @pytest.mark.slow
 def test_without_effects_there_is_no_corrected_model(command, pair, tmp_path):
-    done = command("gap", "3r", "--simulated", pair / "fast.csv", "--real", pair / "real.csv",
+    done = command("pair", "3r", "--simulated", pair / "fast.csv", "--real", pair / "real.csv",
                    "--save-model", tmp_path / "x.yaml", "--json", tmp_path / "x.json")  # fmt: skip
     assert done.code == 1
     assert "no corrected model" in done.err
     assert not (tmp_path / "x.yaml").exists()
     assert json.loads((tmp_path / "x.json").read_text())["faults"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (("--real", "real.csv"), 2, "--simulated"),
+        (("3r", "sim.csv", *BOTH), 2, "sim.csv"),
+        ((*BOTH, "--save-model", "x.yaml"), 1, "needs its ROBOT"),
+        (("ur10e", *BOTH), 1, "joint"),
+    ],
+)  # fmt: skip
+def test_bad_options(command, pair, monkeypatch, arguments, code, words):
+    monkeypatch.chdir(pair)
+    done = command("pair", *arguments)
+    assert done.code == code
+    assert words in done.err
+
+
+def test_gap_says_the_same_and_that_it_moved(command, pair, monkeypatch, tmp_path):
+    monkeypatch.chdir(pair)
+    both = ("--simulated", "fast.csv", "--real", "real.csv")
+    now = command("pair", *both, "--json", tmp_path / "a.json")
+    before = command("gap", *both, "--json", tmp_path / "b.json")
+    assert now.code == before.code == 0
+    assert "torchid pair --simulated SIM" in " ".join(before.out.split())
+    assert "torchid pair" not in now.out
+    assert json.loads((tmp_path / "a.json").read_text()) == json.loads(
+        (tmp_path / "b.json").read_text()
+    )
 
 
 def test_without_a_pair_robot_and_logs_are_needed(command):

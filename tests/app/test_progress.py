@@ -6,11 +6,14 @@ import subprocess
 import sys
 
 import pytest
+from msgspec import structs
 
+from tests.results.test_answer import answer
 from tests.terminal import on_a_terminal
 from torchid.app.output import Output
 from torchid.app.progress import ProgressLines, TimeLeft
-from torchid.parallel.workers import in_shares, stage
+from torchid.parallel.workers import stage
+from torchid.results.answer import JointError
 
 PROGRAM = """
 import sys, time
@@ -60,7 +63,7 @@ def test_quiet_is_quiet_on_a_terminal_too() -> None:
         (("identify", "3r_friction", "check.csv"), {"checking the log", "predicting"}),
         (
             ("gap", "3r_friction", "check.csv", "--effects", "torque_offset"),
-            {"preparing", "searching for effects", "judging", "locating"},
+            {"checking the log", "adding causes", "exchanging causes", "judging", "locating"},
         ),
     ],
 )
@@ -70,13 +73,19 @@ def test_a_line_a_stage_without_a_terminal(
     name, robot, log, *options = arguments
     done = command(name, robot, folder / log, *options)
     assert done.code == 0
-    shown = (line for line in done.err.splitlines() if not line.startswith("So far: "))
+    every = [line for line in done.err.splitlines() if line.strip()]
+    shown = list(every)
+    if "So far: the gap is" in done.err:  # a table of all joints, as the answer's
+        first = next(k for k, line in enumerate(every) if line.startswith("So far: "))
+        rows = [k for k, line in enumerate(every) if re.match(r"\d .*->", line)]
+        assert sorted(every[k][0] for k in rows) == ["1", "2", "3"]
+        shown = [*every[:first], *every[rows[-1] + 1 :]]
     lines = [re.fullmatch(r"(.+): \d+\.\d s(, about \d+ \w+ left)?", line) for line in shown]
     assert all(lines), done.err
     told = [line[1] for line in lines]
     assert stages <= set(told)
     assert len(told) == len(set(told))  # none twice
-    assert not any(line in done.out for line in done.err.splitlines())
+    assert not any(f"{name}: " in done.out for name in told)
     quiet = command(name, robot, folder / log, *options, "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
@@ -97,6 +106,21 @@ def test_without_a_terminal_a_stage_is_told_when_it_is_over(capsys) -> None:
         assert report is None
         assert stage(report, "searching") is None
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_table_is_told_again_where_its_rows_are_others(capsys, monkeypatch) -> None:
+    """Once in ten seconds at most, whatever the headline."""
+    monkeypatch.setattr("torchid.app.progress.SAID_EVERY_S", -1.0)
+    joint = JointError(joint=0, name="j", before=10.0, after=8.0, noise=(0.1, 0.2))
+    first = answer(joints=(joint,))
+    other = answer(joints=(structs.replace(joint, after=6.0),))
+    assert first.headline == other.headline
+    lines = ProgressLines("searching")
+    said = []
+    for one in (first, first, other):
+        lines.so_far(one)
+        said.append("10 -> " in capsys.readouterr().err)
+    assert said == [True, False, True]
 
 
 def test_of_what_fails_the_error_alone_is_said(capsys) -> None:
@@ -186,17 +210,3 @@ def test_parts_that_are_counted_together() -> None:
     told(0, 40)
     told(40, 40)
     assert heard == [("second of three", 40, 120), ("second of three", 80, 120)]
-
-
-def test_stages_by_their_shares_of_the_time() -> None:
-    heard = []
-    say = in_shares(lambda *all_of_it: heard.append(all_of_it), {"a": 20, "b": 60, "c": 20, "d": 0})
-    for name in ("a", "b", "c", "d"):
-        say(name)
-    assert heard == [("a", 0, 100), ("b", 20, 100), ("c", 80, 100), ("d", 100, 100)]
-    heard.clear()
-    say = in_shares(lambda *all_of_it: heard.append(all_of_it), {"a": 20, "b": 60, "c": 20})
-    say("a")
-    say("c")  # without b half is done
-    assert heard == [("a", 0, 100), ("c", 50, 100)]
-    in_shares(None, {"a": 1})("a")

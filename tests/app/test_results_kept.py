@@ -3,6 +3,7 @@
 import json
 import os
 import time
+from hashlib import sha256
 
 import pytest
 
@@ -91,7 +92,10 @@ def test_a_command_that_fails_behind_its_answer_leaves_the_old_set(
     command, folder, tmp_path, monkeypatch
 ) -> None:
     out = tmp_path / "result"
-    asked = ("identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--out", out)
+    asked = (
+        "identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--pictures",
+        "--out", out,
+    )  # fmt: skip
     assert command(*asked).code == 0
     before = {path: path.read_bytes() for path in out.iterdir()}
     assert len(before) > 1
@@ -102,3 +106,16 @@ def test_a_command_that_fails_behind_its_answer_leaves_the_old_set(
     monkeypatch.setattr("torchid.report.panels.save", full)
     assert command(*asked, "--overwrite", "--seed", 7).code == 1
     assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+def test_a_result_has_the_hash_of_each_file_beside_it(command, folder, tmp_path) -> None:
+    out = tmp_path / "result"
+    asked = ("identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--pictures")
+    assert command(*asked, "--out", out).code == 0
+    said = json.loads((out / "identification.json").read_text())
+    written = {path.name: path for path in out.glob("*.png")}
+    assert written
+    assert said["files"] == {
+        name: sha256(path.read_bytes()).hexdigest() for name, path in written.items()
+    }
+    assert torchid.load(out / "identification.json").n_base == said["n_base"]

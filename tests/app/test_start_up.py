@@ -8,6 +8,7 @@ from typing import get_args
 
 import pytest
 
+import torchid
 from torchid.app.options import LOG_SUFFIX
 from torchid.identification.settings import Basis
 from torchid.log.readers import written_suffixes
@@ -21,7 +22,8 @@ from torchid.app import main
 try:
     main()
 finally:
-    print("loaded:", *(name for name in ("torch", "scipy", "pandas") if name in sys.modules))
+    names = ("torch", "scipy", "pandas", "matplotlib", "mujoco", "sympy", "jinja2")
+    print("loaded:", *(name for name in names if name in sys.modules))
 """
 
 
@@ -78,6 +80,16 @@ def test_errors_of_arguments_files_and_names_need_no_torch(tmp_path, arguments) 
 @pytest.mark.slow
 def test_a_robot_needs_torch_alone() -> None:
     assert _loaded("robot", "kuka_lwr4", "--quiet") == ["torch"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["gap", "identify"])
+def test_answers_load_what_they_need(tmp_path: Path, command: str) -> None:
+    """No pictures, no parser of robots' files, and nothing of torch that loads sympy."""
+    robot = torchid.load_robot("3r")
+    motion = torchid.excite(robot, duration=6.0, restarts=1, iterations=0).log(100.0)
+    torchid.write_log(torchid.simulate(robot, motion), tmp_path / "run.csv")
+    assert _loaded(command, "3r", "run.csv", "--quiet", folder=tmp_path) == ["torch", "scipy"]
 
 
 def test_the_settings_name_every_basis() -> None:

@@ -1,6 +1,7 @@
 """Segments and their samples: one filter for all signals, and the samples that count."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -51,6 +52,8 @@ def test_segments_hold_the_log_and_their_time_runs_on():
     assert torch.allclose(one.motion.ddq[inner], run.motion.ddq[inner], atol=0.02)
     assert when([one, two], 18.5) == (two.name, pytest.approx(1.5))
     assert when([one, two], 5.5) == (one.name, pytest.approx(0.5))
+    later = replace(two, stamp=1000.0)  # as the clock of its log has it
+    assert when([one, later], 18.5) == (two.name, pytest.approx(1001.5))
 
 
 def test_a_fast_log_is_put_on_a_coarser_grid():

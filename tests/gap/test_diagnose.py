@@ -19,8 +19,9 @@ from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import diagnose_torque
+from torchid.gap.torque import STAGES, diagnose_torque
 from torchid.log.model import Log
+from torchid.parallel.pace import Pace
 from torchid.report.brief import model_words
 from torchid.results.answer import Answer
 from torchid.results.cause import JudgedOn
@@ -337,7 +338,7 @@ def test_progress_is_told_to_the_end():
         ROBOT,
         logged(ROBOT, (0,)),
         settings=replace(QUICK, effects=("coulomb_friction",)),
-        progress=lambda stage, done, total: told.append((stage, done, total)),
+        pace=Pace(lambda stage, done, total: told.append((stage, done, total)), STAGES),
     )
     assert told[-1] == ("done", 100, 100)
     percents = [done for _, done, _ in told]

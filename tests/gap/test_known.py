@@ -1,16 +1,16 @@
 """What is known of a model counts in its next diagnosis; and faults that are mended: by the public
 functions alone, on short logs of the 3R."""
 
-import importlib.util
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
 
 import torchid
+from tests.gap.contradictions import contradictions
 from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
 from tests.marks import some
 from torchid.effects.registry import KINDS
@@ -18,6 +18,7 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.identification.knowledge import whole_arm
 from torchid.log.model import Log
+from torchid.results.cause import cut_line
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot
@@ -47,16 +48,6 @@ def first() -> TorqueDiagnosis:
 
 def names(found: TorqueDiagnosis) -> set[tuple[str, tuple[int, ...]]]:
     return {(f.effect, f.at) for f in found.which}
-
-
-def contradictions() -> ModuleType:
-    path = Path(__file__).resolve().parents[2] / "torchid_bench/benchmarks/gap_consistent.py"
-    spec = importlib.util.spec_from_file_location("gap_consistent", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_a_first_session_is_known_afterwards() -> None:
@@ -212,7 +203,7 @@ def test_every_answer_is_written_read_run_again_and_agrees_with_itself(
     log = log_of(true, FIRST)
     wanted = replace(settings(), effects=(*SEARCHED, "load_dependent_friction"))
     found = torchid.diagnose(given, log, settings=wanted)
-    check = contradictions().contradictions
+    check = contradictions
     assert check(found.plain()) == []
     found.save(tmp_path / "gap.json")
     again = torchid.load(tmp_path / "gap.json")
@@ -267,13 +258,21 @@ def pushed(
 def test_what_stands_still_and_is_pushed_is_a_contact(off: float, compliance: float) -> None:
     """Also where the arm yields, by up to 10 mrad: no spring is named for it."""
     robot, log = pushed(((10.0, 11.5), (25.0, 26.0)), 0, off=off, compliance=compliance)
+    log = log.replace(t=log.t + 100.0)
     found = torchid.diagnose(robot, log)
     assert [f.effect for f in found.which] == ["contact", "contact"]
     for f in found.which:
         assert [s.value for s in f.sizes] == pytest.approx((20.0, 10.0, -15.0), abs=0.5)
     windows = sorted((f.window.from_s, f.window.to_s) for f in found.which)
-    assert windows[0] == pytest.approx((10.0, 11.5), abs=0.2)
-    assert windows[1] == pytest.approx((25.0, 26.0), abs=0.2)
+    assert windows[0] == pytest.approx((110.0, 111.5), abs=0.2)
+    assert windows[1] == pytest.approx((125.0, 126.0), abs=0.2)
+    # The line to paste leaves what was not pushed.
+    line = re.search(r"log\.select\((.*)\)$", cut_line(found.which).strip("`"))
+    assert line is not None
+    left = log.select(eval(line[1])).t
+    inside = ((left > 110.2) & (left < 111.3)) | ((left > 125.2) & (left < 125.8))
+    assert not bool(inside.any())
+    assert 3600 < len(left) < 3900
 
 
 @pytest.mark.parametrize("drift", [0.0, 0.5])

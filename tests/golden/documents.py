@@ -187,7 +187,7 @@ def _pair(b: Bench) -> dict[str, Any]:
     noise = Sensors(torque_std=0.02)
     write_log(synthetic_log(robot, motion), simulated)
     write_log(measured_log(arm, synthetic_log(arm, motion), [], noise, seed=0), real)
-    return b.run("gap", "3r", "--simulated", simulated, "--real", real, *FEW)
+    return b.run("pair", "3r", "--simulated", simulated, "--real", real, *FEW)
 
 
 def _pair_fault(b: Bench) -> dict[str, Any]:
@@ -199,7 +199,7 @@ def _pair_fault(b: Bench) -> dict[str, Any]:
     files = b.folder / "turned.csv", b.folder / "straight.csv"
     write_log(real.replace(tau=real.tau * torch.tensor([1, -1, 1])), files[0])
     write_log(real, files[1])
-    return b.run("gap", "--simulated", files[0], "--real", files[1])
+    return b.run("pair", "--simulated", files[0], "--real", files[1])
 
 
 DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {

@@ -16,7 +16,7 @@ from torchid.effects.registry import KINDS
 from torchid.report.brief import MOST_LINES, Screen, bar, model_words, short_label
 from torchid.report.page.answer import first_steps
 from torchid.results.answer import Answer, JointError
-from torchid.results.cause import Cause, Size
+from torchid.results.cause import Cause, Size, Window
 from torchid.results.friction import FrictionAt, FrictionDetail, FrictionLaw
 
 WARNINGS = (
@@ -101,7 +101,7 @@ def test_rows_have_values_and_hints(width: int) -> None:
 def test_what_all_joints_share_is_one_line_with_a_value_a_joint() -> None:
     causes = tuple(cause("viscous_friction", j) for j in range(3))
     lines = lines_of(Screen(answer=answer(3, causes)), 100)
-    assert "all joints: viscous friction c = 1.5, 1.5, 1.5 N m (90 %)" in lines
+    assert "all joints: viscous friction 1.5, 1.5, 1.5 N m (90 %)" in lines
 
 
 def test_a_cause_of_a_hundredth_of_the_error_is_no_step_however_sure() -> None:
@@ -128,6 +128,9 @@ def test_which_model_to_use() -> None:
         "--to urdf --out exported"
     )
     assert "--save-model" in model_words(some, None, "r.urdf")
+    push = cause("contact", 0, window=Window(trajectory="run9", from_s=3.0, to_s=3.4))
+    beside = "error 9 N m (beside contact of this log alone), as given 20."
+    assert beside in model_words(answer(2, (push,)), "c.yaml", "r.urdf")
     # An error without a sure cause is no reason to use a file as it is.
     unsure = msgspec.structs.replace(answer(2, ()), status="detected_unexplained")
     assert model_words(unsure, None, "r.urdf") == (

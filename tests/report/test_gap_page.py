@@ -136,6 +136,22 @@ def test_the_answer_has_a_bar_a_joint_the_largest_error_first(undrawn):
         assert name in causes
 
 
+def test_a_joint_without_a_cause_has_its_suspect(undrawn):
+    suspect = structs.replace(VISCOUS, how_sure=0.43, role="suspect", ambiguous_with=("backlash",))
+    cells = page_of(diagnosis(suspects=(suspect,))).xpath("//td[@class='causes']")
+    said = [" ".join(cell.text_content().split()) for cell in cells]
+    likely = "perhaps viscous friction 0.20 ± 0.10 N m s/rad (43 %; could also be backlash)"
+    assert [text for text in said if "perhaps" in text] == [likely]
+    assert "no cause found" in said
+
+
+def test_names_of_suspects_are_explained_too(undrawn):
+    suspect = structs.replace(VISCOUS, effect="stribeck_friction", how_sure=0.43, role="suspect")
+    (bars,) = page_of(diagnosis(suspects=(suspect,))).xpath("//div[contains(@class, 'bars')]")
+    notes = " ".join(p.text_content() for p in bars.xpath(".//p[@class='note']"))
+    assert "Stribeck friction: " in notes
+
+
 def test_captions_say_where(undrawn):
     captions = {f.get("id"): f.xpath("./figcaption")[0].text_content()
                 for f in page_of(diagnosis()).iter("figure")}  # fmt: skip

@@ -1,5 +1,6 @@
 """Tables and sentences of a diagnosis hold its numbers."""
 
+import textwrap
 from dataclasses import replace
 from typing import get_args
 
@@ -20,7 +21,7 @@ from torchid.gap.record import Status
 from torchid.gap.told import told, told_bodies
 from torchid.report import gap
 from torchid.report.diagnosis import report_of_diagnosis
-from torchid.results.answer import COLUMNS, LONGEST, Answer, JointError, NotTestable
+from torchid.results.answer import COLUMNS, LINE, LINES, Answer, JointError, NotTestable
 from torchid.results.cause import Cause, Size
 from torchid.results.words import effect_words, listed, measure, percent
 
@@ -42,11 +43,11 @@ SENTENCES = {
     "no_gap": "No gap that this log can tell from noise: 0.105 N m (noise >= 0.0693). "
     "2 effects could not have been seen in it.",
     "parametric_only": "Inertia of link 3 (0.49 N m): error 0.617 -> 0.105 N m on motions left "
-    "out of the fit (83 % less).",
+    "out (83 % less).",
     "explained": "0.61 N m Coulomb friction on joint 2: error 0.617 -> 0.105 N m on motions left "
-    "out of the fit (83 % less).",
+    "out (83 % less).",
     "detected_unexplained": "0.61 N m Coulomb friction on joint 2: error 0.617 -> 0.105 N m on "
-    "motions left out of the fit (83 % less). The rest has no known cause.",
+    "motions left out (83 % less; rest unexplained).",
     "not_testable": "This log cannot show what causes a gap: exactly a sum of base parameters.",
 }
 
@@ -62,27 +63,27 @@ def test_causes_that_close_nothing_are_not_confirmed():
     said = replace(d, how_far=far).answer.headline
     assert said == (
         "Not confirmed: 0.61 N m Coulomb friction on joint 2: error 0.617 -> 0.617 N m on motions "
-        "left out of the fit."
+        "left out."
     )
 
 
-def test_headline_of_several_effects_names_the_three_that_close_most():
+def test_headline_of_several_effects_names_those_that_close_most_in_three_lines():
     d = diagnosis(
         causes=(VISCOUS, FRICTION, OFFSET, told_bodies((), share=0.1)),
     )
     assert d.answer.headline == (
         "0.61 N m Coulomb friction on joint 2, inertial parameters (0.062 N m), 0.2 N m s/rad "
         "viscous friction on joint 1 and 1 smaller: error 0.617 -> 0.105 N m on motions left out "
-        "of the fit (83 % less)."
+        "(83 % less)."
     )
 
 
 def test_headline_of_one_effect_on_two_joints():
     other = cause(CoulombFriction(2), 0.3, 0.02, how_sure=0.999, share=0.9)
     answer = diagnosis(causes=(FRICTION, other)).answer
-    said = "Coulomb friction on joints 2 and 3 (Fc = 0.61, 0.3 N m): error "
+    said = "Coulomb friction on joints 2 and 3 (0.61, 0.3 N m): error "
     assert answer.headline.startswith(said)
-    assert ("joints 2 and 3", "Coulomb friction Fc = 0.61, 0.3 N m") in [
+    assert ("joints 2 and 3", "Coulomb friction 0.61, 0.3 N m") in [
         (row[0], row[4]) for row in answer.rows()
     ]
 
@@ -129,7 +130,8 @@ def test_a_headline_is_whole_and_a_row_has_all_cells(names, joints, status, clos
         status=status, error="the gap", unit="N m", **errors(5.0, 1.0), noise=(0.1, 0.2),
         closed=closed, joints=rows, causes=causes,
     )  # fmt: skip
-    assert len(answer.headline) <= LONGEST or " and " not in answer.headline.partition(":")[0]
+    lines = len(textwrap.wrap(answer.headline, LINE))
+    assert lines <= LINES or ", " not in answer.headline.partition(":")[0]
     assert "…" not in answer.headline
     cells = answer.rows()
     assert all(len(row) == len(COLUMNS) for row in cells)

@@ -1,10 +1,14 @@
 """Tables of parts that declare their columns."""
 
+import io
 import math
 from typing import Annotated
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from msgspec.json import encode
+from rich.console import Console
 
 from torchid.report.table import Table, table_of
 from torchid.results.record import Col, Ends, Joint, Part, Real, as_plain
@@ -68,3 +72,52 @@ def test_columns_change_no_json():
     assert list(as_plain(gain)) == list(Gain.__struct_fields__)
     assert as_plain(gain)["joint"] == 2
     assert encode(as_plain(gain)["kp"]) == b"null"
+
+
+def printed(table: Table, width: int) -> list[str]:
+    """Lines of a terminal of that width."""
+    file = io.StringIO()
+    Console(file=file, width=width).print(table)
+    return file.getvalue().splitlines()
+
+
+NUMBERS = st.floats(-1e6, 1e6, width=32).map("{:.6g}".format)
+WORDS = st.lists(st.text("abcdefgh", min_size=1, max_size=9), min_size=1, max_size=9).map(" ".join)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.data(), st.sampled_from([60, 80, 120]))
+def test_no_number_is_cut_and_no_column_of_words_vanishes(data, width):
+    letters = "p" + data.draw(st.text("rp", min_size=2, max_size=9))
+    row = st.tuples(*(NUMBERS if letter == "r" else WORDS for letter in letters))
+    rows = data.draw(st.lists(row, min_size=1, max_size=4))
+    # Each column by a letter of its own, which shows where it begins and ends.
+    heads = [chr(ord("A") + k) * 3 for k in range(len(letters))]
+    lines = printed(Table("", heads, rows, letters), width)
+    assert max(map(len, lines)) <= width
+    text = "\n".join(lines)
+    shown = [k for k, head in enumerate(heads) if head in text.split("\u2500")[0]]
+    assert shown == list(range(len(shown)))
+    hidden = set(range(len(heads))) - set(shown)
+    assert all(heads[k] in text for k in hidden)
+    assert "\u2026" not in text
+    for k in shown:
+        for line in rows:
+            # Of words their parts stand whole where the column is wide enough for them.
+            whole = [line[k]] if letters[k] == "r" else line[k].split()
+            assert all(part in text for part in whole)
+
+
+def test_a_table_that_fits_no_more_breaks_headings_and_then_cells():
+    rows = [["m2c2x - 0.6127 m2", "-8.35718", "0.001302 \u00b1 0.014", "0 (at its bound)"]]
+    table = Table("", ["name", "its value", "viscous friction", "rotor inertia"], rows, "prrr")
+    assert printed(table, 80)[-2].split() == " ".join(rows[0]).split()
+    assert max(map(len, printed(table, 62))) <= 62
+    narrow = printed(table, 44)
+    assert "friction" in narrow[2]
+    assert not any("viscous friction" in line for line in narrow)
+    assert "0.001302" in "\n".join(narrow)
+    assert "0.001302 \u00b1 0.014" not in "\n".join(narrow)
+    note = " ".join(" ".join(printed(table, 34)).split())
+    assert "in the JSON:" in note
+    assert "rotor inertia." in note

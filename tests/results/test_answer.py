@@ -8,7 +8,7 @@ import pytest
 
 from tests.causes import errors, numbers
 from torchid.results.answer import Answer, JointError, cause_cells
-from torchid.results.cause import Cause, Size
+from torchid.results.cause import Cause, Size, Window, cut_line
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "answers"
 
@@ -44,7 +44,7 @@ def answer(**other):
 @pytest.mark.parametrize("measured", [False, True])
 def test_all_of_an_error_needs_a_measured_noise(measured):
     said = answer(noise_measured=measured).headline
-    assert "error 10 -> 8 N m on motions left out of the fit (20 % less" in said
+    assert "error 10 -> 8 N m on motions left out (20 % less" in said
     assert ("to the noise" in said) == measured
     assert " all" not in said
 
@@ -125,3 +125,53 @@ def test_a_gap_is_largest_where_it_is_most_beyond_noise(high, joint):
     )
     said = answer(status="detected_unexplained", causes=(), joints=joints).headline
     assert said.endswith(f"It is largest on joint {joint}.")
+
+
+def test_a_change_of_a_link_of_which_the_kind_alone_is_sure_has_the_kinds_name():
+    cause = Cause(effect="link_inertia", joints=(2,), share=0.2, branch="inertia")
+    said = answer(causes=(cause,)).headline
+    assert said.startswith(f"{cause.kind[:1].upper()}{cause.kind[1:]} on link 3 (")
+    plain = answer(causes=(msgspec.structs.replace(cause, branch=""),)).headline
+    assert plain.startswith("Inertia of link 3 (")
+
+
+@pytest.mark.parametrize(("unnamed", "words"), [(0.0, "smaller"), (0.18, "more")])
+def test_beside_what_is_unsure_and_larger_the_others_are_more(unnamed, words):
+    effects = ("torque_offset", "viscous_friction", "joint_spring", "torque_ripple", "filter_lag")
+    causes = tuple(Cause(effect=e, joints=(0,), share=0.01) for e in effects)
+    suspect = Cause(effect="backlash", joints=(0,), share=0.15, how_sure=0.4)
+    said = answer(causes=causes, suspects=(suspect,), unnamed=unnamed).headline
+    assert f" {words}: error" in said
+    assert said.startswith("Perhaps backlash on joint 1") == (unnamed > 0)
+
+
+@pytest.mark.parametrize(
+    ("own", "name", "rivals"),
+    [
+        (0.4, "friction (likely Coulomb friction)", ", or viscous friction or Stribeck friction"),
+        (
+            0.26,
+            "friction (one of viscous friction, Stribeck friction or Coulomb friction)",
+            "",
+        ),
+    ],
+)
+def test_likely_is_said_of_the_likeliest_alone(own, name, rivals):
+    others = {"stribeck_friction": 0.35, "viscous_friction": 0.37}
+    cause = Cause(
+        effect="coulomb_friction", branch="friction", joints=(1,),
+        probabilities={"coulomb_friction": own, **others},
+        ambiguous_with=("viscous_friction", "stribeck_friction"),
+    )  # fmt: skip
+    assert (cause.name, cause.rivals) == (name, rivals)
+
+
+def test_a_line_that_cuts_events_has_the_brackets_that_it_needs():
+    windows = [Window(trajectory="run1", from_s=k, to_s=k + 0.5) for k in (1.0, 3.0)]
+    causes = [Cause(effect="contact", joints=(0,), window=w) for w in windows]
+    assert cut_line(causes[:1]) == (
+        "in Python, of run1: `log = log.select((log.t < 1.0) | (log.t > 1.5))`"
+    )
+    assert cut_line(causes).endswith(
+        "select(((log.t < 1.0) | (log.t > 1.5)) & ((log.t < 3.0) | (log.t > 3.5)))`"
+    )

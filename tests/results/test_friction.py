@@ -79,5 +79,5 @@ def test_one_sure_term_is_a_law_where_others_remove_some_of_the_error_too(unname
     details = [FrictionDetail(detail="loop", effects=("presliding_hysteresis",), how_sure=0.99)]
     said = answer(one, laws=(law(0, details=details, unnamed=unnamed),))
     assert [c.law is not UNSET for c in said.entries] == [as_law]
-    assert "without a sure name" not in msgspec.structs.replace(said, unnamed=-0.1).headline
-    assert ", 10 % without a sure name)" in msgspec.structs.replace(said, unnamed=0.1).headline
+    assert "unnamed" not in msgspec.structs.replace(said, unnamed=-0.1).headline
+    assert ", 10 % unnamed" in msgspec.structs.replace(said, unnamed=0.1).headline

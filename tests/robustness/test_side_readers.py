@@ -92,5 +92,5 @@ def test_both_logs_of_a_pair_are_checked(command, tmp_path: Path, changed, said)
     (tmp_path / "b.csv").write_bytes(csv(motion()))
     for sides in (("a", "b"), ("b", "a")):
         simulated, real = (tmp_path / f"{side}.csv" for side in sides)
-        done = command("gap", "--simulated", simulated, "--real", real)
+        done = command("pair", "--simulated", simulated, "--real", real)
         assert (done.code, said in done.err) == (1, True)

@@ -72,6 +72,6 @@ def test_what_is_planted_is_named_and_what_no_library_has_is_not(diagnosis):
 QUICK_LIBRARY = ("coulomb_friction", "viscous_friction", "torque_offset", "joint_spring")
 
 
-def test_less_than_one_cause_is_refused(diagnosis):
+def test_what_would_plant_nothing_is_refused(diagnosis):
     with pytest.raises(TorchidError, match="plants causes"):
         calibrate(diagnosis, LOG, count=0)

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from torchid import __version__
+from torchid.app.calibrate import calibrate_command
 from torchid.app.check import check_command
 from torchid.app.compare import compare_command
 from torchid.app.demo import demo_command
@@ -23,6 +24,7 @@ from torchid.app.help import show_beginning, show_command, show_group
 from torchid.app.identify import identify_command, payload_command
 from torchid.app.log import LOG
 from torchid.app.output import in_options
+from torchid.app.pair import pair_command
 from torchid.app.show import effects_command, explain_command, robot_command
 from torchid.app.signature import OPTIONS, Debug
 from torchid.app.simulate import simulate_command
@@ -33,7 +35,7 @@ GONE = {
     "init": "give each command its options; --columns takes a file",
     "--project": "give each command its options; --columns takes a file",
     "fleet watch": "torchid compare RESULT..., of a unit's sessions",
-    "withheld own": "torchid gap ROBOT LOG... --calibrate N",
+    "withheld own": "torchid calibrate ROBOT LOG... --causes N",
     "--rollout": "torchid correct tries a corrected file on the log",
     "--no-rollout": "leave it out: gap simulates nothing",
 }
@@ -140,8 +142,9 @@ withheld_app = _group(
 for _one in (
     robot_command, excite_command, simulate_command, log_app, identify_command,
     extract_command, check_command, atlas_command, loaded(COMMANDS["wrenches"]), payload_command,
-    gap_command, correct_command, explain_command, effects_command, export_command,
-    compare_command, loaded(COMMANDS["study"]), fleet_app, withheld_app, demo_command,
+    gap_command, pair_command, correct_command, calibrate_command, explain_command,
+    effects_command, export_command, compare_command, loaded(COMMANDS["study"]), fleet_app,
+    withheld_app, demo_command,
 ):  # fmt: skip
     if isinstance(_one, typer.Typer):
         app.add_typer(_one, name=_one.info.name)

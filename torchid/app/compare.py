@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Computed
+from torchid.app.output import Drawn
 from torchid.app.signature import command
 from torchid.errors import TorchidError
 
@@ -20,7 +20,7 @@ def compare_command(
     logs: opt.Reading,
     part: opt.Part,
     seed: opt.Seed = 0,
-    output: Annotated[Computed, "compare.json"],
+    output: Annotated[Drawn, "compare.json"],
 ) -> None:
     """Which coefficients agree between results, which differ and by what spread, which are never
     determined; how far apart the torques are.

@@ -10,7 +10,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import ROBOT
-from torchid.app.output import Computed, Output
+from torchid.app.output import Drawn, Output
 from torchid.app.signature import Fields, Parsed, command
 from torchid.errors import TorchidError
 from torchid.files import write_text
@@ -96,7 +96,7 @@ def excite_command(
     max_velocity: opt.Velocities = None,
     max_acceleration: opt.Accelerations = None,
     part: opt.Part,
-    output: Annotated[Computed, "excitation.json"],
+    output: Annotated[Drawn, "excitation.json"],
 ) -> None:
     """Design an exciting trajectory within the robot's limits, at rest at both ends.
 

@@ -3,7 +3,7 @@ logs to a corrected file of the simulator, in one call."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -13,9 +13,12 @@ from torchid.app.inputs import MODEL, require_free
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-from torchid.files import require_name
+from torchid.files import require_name, staged
 from torchid.gap.settings import GapSettings
 from torchid.robot.config_files import names_robot
+
+if TYPE_CHECKING:
+    from torchid.export.projection import Target
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
@@ -89,7 +92,8 @@ def export_command(
         given = None if robot is None else torchid.load_robot(robot, **part.choice.options)
         diagnosed = opt.load(result, part) if names_robot(result) else any_diagnosis(Path(result))
         ranges = torchid.randomise(diagnosed, randomise, robot=given, draws=draws, seed=seed)
-        files = [str(file) for file in ranges.write(folder, name)]
+        with staged(output.staged):
+            files = [str(file) for file in ranges.write(folder, name)]
         plain = {**ranges.plain(), "files": files}
         told = exported.report_of_randomisation(ranges, files)
         output.give(plain, "randomisation.json", lambda _: told, seed=seed)
@@ -158,12 +162,10 @@ def correct_command(
     if name is not None:
         require_name(name)
     found, log, apart, _ = trials.open(output, settings.held_out_fraction)
-    from torchid.export.correct import file_format, require_field
     from torchid.report.exported import report_of_correction
 
-    kind = file_format(to)
+    kind = file_for(to, found, log)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
-    require_field(kind, found, log)
     with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
             found, log, held_out=apart, settings=settings, force=force, progress=progress
@@ -174,3 +176,16 @@ def correct_command(
     )  # fmt: skip
     shown = output.keep(done, "correction.json", report_of_correction)
     output.tell(replace(shown, parts=[result.answer.headline, *shown.parts]))
+
+
+def file_for(to: Simulated, robot: "torchid.Robot", log: "torchid.Log") -> "Target":
+    """The format of the corrected file for a simulator.
+
+    Raises:
+        TorchidError: it has no field for what the log says.
+    """
+    from torchid.export.correct import file_format, require_field
+
+    kind = file_format(to)
+    require_field(kind, robot, log)
+    return kind

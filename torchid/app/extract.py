@@ -8,7 +8,7 @@ import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.output import Computed
+from torchid.app.output import Drawn
 from torchid.app.signature import Fields, Switch, command
 from torchid.extraction.settings import SearchSettings
 
@@ -72,7 +72,7 @@ def extract_command(
     certificate: bool = True,
     search_anyway: Switch = False,
     engine: opt.Crew,
-    output: Annotated[Computed, "extraction.json"],
+    output: Annotated[Drawn, "extraction.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Extract physical parameter sets that give the identified base parameters, and classify them.
@@ -118,7 +118,7 @@ def atlas_command(
     arm: opt.Arm,
     sought: Sought,
     level: Annotated[float, typer.Option(min=0.01, max=0.9999)] = 0.95,
-    output: Annotated[Computed, "atlas.json"],
+    output: Annotated[Drawn, "atlas.json"],
 ) -> None:
     """The range of every physical parameter over all feasible sets with the same torque.
 

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from torchid.app.signature import Option
 
 GROUPS = {
-    "Begin here": ("log", "identify", "gap", "correct", "explain", "demo"),
+    "Begin here": ("log", "identify", "gap", "pair", "correct", "explain", "demo"),
     "Model and experiment": ("robot", "effects", "excite", "simulate", "export"),
     "Physical parameters": ("payload", "check", "extract", "atlas", "wrenches", "study"),
-    "Many robots, and checks": ("compare", "fleet", "withheld"),
+    "Many robots, and checks": ("compare", "fleet", "calibrate", "withheld"),
 }
 """All commands, in panels."""
 _FIRST = {

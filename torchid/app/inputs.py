@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchid.errors import RobotError, TorchidError
-from torchid.files import require_writable, similar_files
+from torchid.files import require_writable, rows_file, similar_files
 from torchid.robot.config_files import names_robot, require_robot_file
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def require_free(given: Mapping[str, Any], results: Sequence[str]) -> None:
         results: names of files in the folder that --out names.
     """
     folder, model = given.get("out"), given.get("save_model")
-    files = [] if model is None else [model, model.with_suffix(".rows.npz")]
+    files = [] if model is None else [model, rows_file(model)]
     taken = [str(file) for file in files if file.exists()]
     if folder is not None:
         names = [name.format(**given) for name in results]

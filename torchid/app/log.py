@@ -9,7 +9,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import WRITTEN, Suffix
-from torchid.app.output import Computed, Printed, as_text
+from torchid.app.output import Drawn, Printed, as_text
 from torchid.app.signature import command
 
 PICTURE = Suffix((".png",))
@@ -22,7 +22,7 @@ def doctor_command(
     apply: Annotated[Path | None, typer.Option(metavar="FILE"), WRITTEN, opt.LOG_SUFFIX] = None,
     fix: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
     seed: opt.Seed = 0,
-    output: Annotated[Computed, "doctor.json"],
+    output: Annotated[Drawn, "doctor.json"],
 ) -> None:
     """Examine a log before anything is fitted to it: units, signs, joint order, gains, gravity,
     lag, velocities, clock, dropouts, saturation, excitation, runs that contradict each other; with

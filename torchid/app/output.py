@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,12 +32,14 @@ from torchid.files import (
     require_folder,
     staged,
 )
-from torchid.json_data import write_json
+from torchid.json_data import read_json, write_json
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from torchid.report.page.document import InputFile, Origin, Page
     from torchid.report.table import Report
-    from torchid.results.answer import Answer
+    from torchid.results.answer import Answer, Diagnosis
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,8 @@ class Output:
 
     Attributes:
         json_file: Write the result as JSON; - for standard output, alone.
-        out: Folder for JSON, tables and figures.
+        out: Folder for the result as JSON, and for the files that belong to it.
+        pictures: Draw pictures of the result into --out, too: .png.
         report: Write one self-contained page: verdict, pictures, tables, how it was obtained
             (needs torchid's extra `report`).
         verbose: Print every table, too: what the answer rests on.
@@ -65,6 +69,7 @@ class Output:
 
     json_file: Annotated[Path | None, typer.Option("--json", metavar="FILE"), WRITTEN] = None
     out: Annotated[Path | None, typer.Option(metavar="DIR"), PLACE] = None
+    pictures: Switch = False
     report: Annotated[
         Path | None,
         typer.Option(metavar="FILE.html"),
@@ -88,8 +93,10 @@ class Output:
         """Check that results can be written before any work is done.
 
         Raises:
-            TorchidError: a folder that cannot be made or written.
+            TorchidError: a folder that cannot be made or written, or pictures without one.
         """
+        if self.pictures and self.out is None:
+            raise TorchidError("--pictures draws into a folder, and needs --out DIR.")
         if self.out is not None:
             require_folder(self.out)
         level = logging.ERROR if self.silent else logging.WARNING
@@ -152,6 +159,7 @@ class Output:
         self.staged.clear()
         self.stale.clear()
         named = {Path(os.path.realpath(p)) for p in (self.json_file, self.report) if p is not None}
+        self._hash(files)
         taken = [
             target
             for _, target in files
@@ -170,6 +178,15 @@ class Output:
             )
         put_in_place(files, stale)
         self.done.update(target for _, target in files)
+
+    def _hash(self, files: Staged) -> None:
+        """Into the command's JSON SHA-256 of each file beside it, by its name."""
+        others = [pair for pair in files if pair[1] not in self.answers]
+        hashes = {target.name: sha256(t.read_bytes()).hexdigest() for t, target in others}
+        for temporary, target in files if hashes else ():
+            if target in self.answers:
+                data = read_json(temporary, "the command's own")
+                write_json({**data, "files": hashes}, temporary)
 
     @property
     def silent(self) -> bool:
@@ -253,7 +270,7 @@ class Output:
         files: "Sequence[InputFile]" = (),
         settings: Mapping[str, object] | None = None,
     ) -> "Report":
-        """Write a result: its JSON, its figures into DIR, its page, whichever are asked for.
+        """Write a result: its JSON, its pictures into DIR, its page, whichever are asked for.
 
         Args:
             result: that can be `plain`, or is plain already.
@@ -276,16 +293,24 @@ class Output:
         finally:
             self.write_json(data, name)  # is safe, whatever fails in what is shown of it
         if self.out is not None:
-            from torchid.report.panels import save
-
-            self.stale.extend(file for pattern in old for file in self.out.glob(pattern))
-            for picture, draw in shown.figures.items():
-                if (figure := draw()) is not None:
-                    self.put(self.out / f"{picture}.png", partial(save, figure))
+            # Of an earlier run, whose result this one takes the place of.
+            names = [*old, *(f"{picture}.png" for picture in shown.figures)]
+            if (self.out / name).exists():
+                self.stale.extend(file for one in names for file in self.out.glob(one))
+            if self.pictures:
+                self._draw(shown.figures, self.out)
         if shown.page is not None:
             about = {"seeds": {"seed": seed}, "settings": settings or {}}
             self.write_page(shown.page, self.report, files=files, **about)
         return shown
+
+    def _draw(self, figures: "Mapping[str, Callable[[], Figure | None]]", folder: Path) -> None:
+        """Write pictures, by the names of their files."""
+        from torchid.report.panels import save
+
+        for picture, draw in figures.items():
+            if (figure := draw()) is not None:
+                self.put(folder / f"{picture}.png", partial(save, figure))
 
     def write_page(
         self,
@@ -376,6 +401,16 @@ SO_FAR = "torchid.so_far/1"
 """Schema of an answer that stood when a command was stopped; no other command reads it."""
 
 
+def settings_of(result: "Diagnosis", servo: str | None) -> dict[str, object]:
+    """What a diagnosis was made with, for its page."""
+    data = result.plain()
+    if "settings" not in data:
+        return {"servo": servo or "not given"}
+    used = {k: v for k, v in data["settings"].items() if k not in ("seed", "only")}
+    used |= {"band of the report [Hz]": data["band_hz"], "cut-off [Hz]": data["cutoff_hz"]}
+    return used | {"effects": used["effects"] or "all"}
+
+
 def _few(names: Sequence[str]) -> str:
     """Names of files; many pictures are counted."""
     pictures = [name for name in names if name.endswith(".png")]
@@ -388,8 +423,11 @@ def _few(names: Sequence[str]) -> str:
 Printed = Annotated[Output, Fields("json_file", "quiet")]
 Kept = Annotated[Output, Fields("json_file", "out", "overwrite", "quiet")]
 Computed = Annotated[Output, Fields("json_file", "out", "overwrite", "quiet", "threads")]
-Reported = Annotated[Output, Fields("json_file out report overwrite quiet threads")]
-Diagnosed = Annotated[Output, Fields("json_file out report verbose overwrite quiet threads")]
+Drawn = Annotated[Output, Fields("json_file out pictures overwrite quiet threads")]
+Reported = Annotated[Output, Fields("json_file out pictures report overwrite quiet threads")]
+Diagnosed = Annotated[
+    Output, Fields("json_file out pictures report verbose overwrite quiet threads")
+]
 
 _ARGUMENT = re.compile(r"""`(\w+)=(\.\.\.|True|\d[\d.]*|"[^`]*"|'[^`]*')`""")
 

@@ -30,8 +30,9 @@ SOON_S = 2.0
 
 
 class TimeLeft:
-    """How long what is counted still takes, if the rest is as fast as what was done in the second
-    half of the time until now: what a store had at once tells no speed.
+    """How long the work still takes: what is expected of it; of what is counted, if the rest is as
+    fast as what was done in the second half of the time until now: what a store had at once tells
+    no speed.
 
     There is no estimate before a twentieth is done, of a single step, and where it has run out.
 
@@ -42,6 +43,11 @@ class TimeLeft:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._total = clock, 0
         self._times, self._done = [clock()], [0]
+        self._end: float | None = None
+
+    def expect(self, seconds: float) -> None:
+        """It ends in so many seconds."""
+        self._end = self._clock() + seconds
 
     def hear(self, done: int, total: int) -> None:
         """So much is done; another total, or less than before, begins another count."""
@@ -54,6 +60,9 @@ class TimeLeft:
     @property
     def seconds(self) -> float | None:
         """Until the end [s]; None where nothing tells it."""
+        if self._end is not None:
+            left = self._end - self._clock()
+            return left if left > SOON_S else None
         times, done = self._times, self._done
         made, half = done[-1] - done[0], (times[0] + times[-1]) / 2
         if made < max(1, LEAST_SHARE * (self._total - done[0])) or times[-1] - times[0] < SOON_S:
@@ -102,15 +111,19 @@ class ProgressLines:
             self.written.add(self.running)
         self.running, self.began, self.line = following, now, now
 
+    def expect(self, seconds: float) -> None:
+        """The work ends in so many seconds."""
+        self.left.expect(seconds)
+
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is None:
             self("", 0, 0)
 
     def so_far(self, answer: "Answer") -> None:
-        """What is known before the end."""
-        if answer.headline != self.said and time.monotonic() > self.at + SAID_EVERY_S:
-            self.said, self.at = answer.headline, time.monotonic()
-            typer.echo(visible(self.said), err=True)
+        """What is known before the end: headline and table, where either is another one."""
+        if time.monotonic() > self.at + SAID_EVERY_S and str(answer) != self.said:
+            self.said, self.at = str(answer), time.monotonic()
+            Console(stderr=True, highlight=False, width=80).print(_screen(answer))
 
 
 class ProgressBars:
@@ -130,7 +143,7 @@ class ProgressBars:
 
         words = bar.TextColumn("{task.description}"), bar.BarColumn(), bar.MofNCompleteColumn()
         self.bars = bar.Progress(*words, bar.TimeElapsedColumn(), Left(), console=console)
-        self.known = Text()
+        self.known: RenderableType | None = None
         self.task, self.running = self.bars.add_task(escape(visible(first)), total=None), first
         self.live = Live(console=console, transient=True, get_renderable=self._shown)
 
@@ -155,6 +168,17 @@ class ProgressBars:
             self.running = stage
         self.bars.update(self.task, completed=done, total=total or None)
 
+    def expect(self, seconds: float) -> None:
+        """The work ends in so many seconds."""
+        self.left.expect(seconds)
+
     def so_far(self, answer: "Answer") -> None:
         """What is known before the end."""
-        self.known = Text(visible(answer.headline))
+        self.known = _screen(answer)
+
+
+def _screen(answer: "Answer") -> "RenderableType":
+    """The answer so far, as the last one is shown."""
+    from torchid.report.brief import Screen
+
+    return Screen(answer=answer)

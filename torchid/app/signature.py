@@ -39,9 +39,10 @@ LARGEST_WHOLE, LARGEST_REAL = 10**6, 1e9
 """Of counts, and of sizes in SI units, times and frequencies."""
 _REST = "*"
 _PANELS = (
-    ("Options", "to result loaded effects effect servo * held_out save out report save_model"),
+    ("Options", "to result loaded effects effect causes *"),
+    ("Options", "held_out save out pictures report save_model"),
     ("Two logs", "simulated real before no_rows"),
-    ("Search", "background parameters worthwhile worthwhile_torque gain_std max_effects"),
+    ("Search", "time background parameters worthwhile worthwhile_torque gain_std max_effects"),
     ("Search", "calibrate"),
     ("Search", "runs stages generations population penalty schedule engine certificate"),
     ("Fit", "cutoff held_out_fraction rows reversal method covariance signs essential"),
@@ -55,7 +56,7 @@ _PANELS = (
     ("Randomise", "randomise spread draws"),
     ("Bodies", "geometry shapes total_mass margin"),
     ("Reading logs", "columns topic torque gain kp kd"),
-    ("Reading the robot", "tip root lock base"),
+    ("Reading the robot", "tip root lock base servo"),
     ("Output", "view ros2 urscript json_file overwrite force quiet"),
     ("Running", "seed workers jobs scheduler store threads device_name debug"),
 )

@@ -108,10 +108,10 @@ def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
 
 
 def when(segments: Sequence[Segment], t: float) -> tuple[str, float]:
-    """The trajectory at a time that runs on from one to the next, and its own time [s] there."""
+    """The trajectory at a time that runs on from one to the next, and the time of its log [s]."""
     begins = [s.start for s in segments]
     k = max((k for k, begin in enumerate(begins) if begin <= t), default=0)
-    return segments[k].name, t - begins[k]
+    return segments[k].name, segments[k].stamp + t - begins[k]
 
 
 class Samples:

@@ -1,7 +1,9 @@
 """From a simulator and any log of the real arm to a diagnosis: what the log measured decides which
 error is explained (see `torchid.design.sensor`)."""
 
+import math
 from dataclasses import fields, replace
+from time import monotonic
 
 from threadpoolctl import threadpool_limits
 
@@ -14,15 +16,19 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch
 from torchid.gap.rows import LogRows, rows_of
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import diagnose_torque
+from torchid.gap.torque import MUST, SEARCH, STAGES, diagnose_torque
 from torchid.identification.logs import refuse_repeated
+from torchid.identification.settings import require_between
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
+from torchid.parallel.pace import Pace
 from torchid.parallel.workers import Progress
+from torchid.position.diagnose import MUST as MUST_OF_SERVOS
+from torchid.position.diagnose import STAGES as SERVO_STAGES
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.nominal import nominal_servos, servos_as_given, sheets_of, types_of
-from torchid.results.answer import Diagnosis
+from torchid.results.answer import Diagnosis, Stopped
 from torchid.robot.model import Robot
 
 SETTLED = 0.9
@@ -43,6 +49,7 @@ def diagnose(
     watch: Watch | None = None,
     before: LogLike | None = None,
     rows: bool = True,
+    time: float | None = None,
 ) -> Diagnosis:
     """Where the simulator disagrees with the arm, which effects cause it, how far they close it.
 
@@ -66,6 +73,9 @@ def diagnose(
             in both; base parameters and the model's own effects are fitted to both. If None, the
             log that the model's own file names.
         rows: whether that file is read (MODEL.rows.npz, as `--save-model` writes it).
+        time: in which the answer is to be there [s], reading the log included: what is not looked
+            at then is said, and is in `stopped_after`. What no answer goes without (reading and
+            checking the log, judging what was found) may take longer. None: as long as it takes.
 
     Returns:
         A `TorqueDiagnosis` [N m; N] or a `PositionDiagnosis` [mrad]: `answer` is the same for both.
@@ -74,7 +84,7 @@ def diagnose(
         WrongLogError: a decisive check of `torchid.doctor.first` says that a log is wrong.
         LogError: logs that do not fit the robot or cannot be used.
         RobotError: the file of the model's log is another one than the model was written with.
-        TorchidError: settings, a servo or an earlier log that the log has no use for.
+        TorchidError: settings, a servo or an earlier log that the log has no use for, or no time.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")
@@ -85,6 +95,9 @@ def diagnose(
     >>> [(c.effect, c.joints) for c in diagnose(robot, log, settings=settings).answer.causes]
     [('viscous_friction', (1,))]
     """
+    begun = monotonic()
+    if time is not None:
+        require_between("the time", time, 0.0, math.inf, "seconds")
     robot = as_robot(robot)
     log = as_log(log, robot)
     held_out = None if held_out is None else as_log(held_out, robot)
@@ -99,8 +112,10 @@ def diagnose(
         )
     earlier, missing = earlier_log(robot, before, log, rows=rows and torques)
     every = log if held_out is None else Log.concatenate([log, held_out])
-    say = progress or (lambda stage, done, total: None)
-    say("checking the log", 0, 1)
+    pace = Pace(progress, STAGES, SEARCH, MUST, time, begun=begun)
+    if not torques:
+        pace = Pace(progress, SERVO_STAGES, (), MUST_OF_SERVOS, time, begun=begun)
+    pace("checking the log")
     # Several threads of BLAS make small matrices many times slower.
     with threadpool_limits(1, "blas"):
         doubts = ask_first(robot, every, force=force)
@@ -109,17 +124,21 @@ def diagnose(
         found: TorqueDiagnosis | PositionDiagnosis
         if torques:
             found = diagnose_torque(
-                robot, handed.pop(), held_out=held_out, settings=settings, progress=say,
+                robot, handed.pop(), held_out=held_out, settings=settings, pace=pace,
                 watch=watch, force=force, before=earlier,
             )  # fmt: skip
         else:
-            found = _of_positions(robot, handed.pop(), held_out, settings, servo, say, watch)
+            found = _of_positions(robot, handed.pop(), held_out, settings, servo, pace, watch)
     answer = found.answer
     settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
-    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *told))
+    end = pace.stopped_after
+    stopped = () if end is None else (Stopped(end, pace.left_out),)
+    said = (*map(str, stopped), *missing, *doubts.warnings, *told)
+    found = replace(found, doubt=text, warnings=said)
+    found = replace(found, stopped_after=stopped[0]) if stopped else found
     mark = found.answer.unconfirmed
     if not mark or not isinstance(found, TorqueDiagnosis):
         return found
@@ -157,12 +176,11 @@ def _of_positions(
     held_out: Log | None,
     settings: GapSettings | None,
     servo: str | None,
-    progress: Progress,
+    pace: Pace,
     watch: Watch | None,
 ) -> PositionDiagnosis:
     """Of logs of commands and positions."""
-    settings = settings or GapSettings()
-    default = GapSettings()
+    settings, default = settings or GapSettings(), GapSettings()
     changed = [
         f.name
         for f in fields(settings)
@@ -184,6 +202,6 @@ def _of_positions(
     found = diagnose_positions(
         robot, log, held_out=held_out, trusted=settings.parameters == "trusted",
         types=types_of(nominal), sheets=sheets_of(nominal), start=servos_as_given(robot, nominal),
-        worthwhile=settings.worthwhile, progress=progress, watch=watch,
+        worthwhile=settings.worthwhile, pace=pace, watch=watch,
     )  # fmt: skip
     return replace(found, nominal=nominal, warnings=(*notes, *found.warnings))

@@ -15,6 +15,7 @@ from msgspec import UNSET, UnsetType
 from torchid.design.columns import Columns, Model
 from torchid.design.segments import EDGE, NEVER, Samples, Segment
 from torchid.effects.base import Motion
+from torchid.effects.registry import glosses
 from torchid.files import atomic_write
 from torchid.gap.record import (
     Budget,
@@ -35,7 +36,7 @@ from torchid.gap.rows import LogRows, write_with_rows
 from torchid.gap.settings import GapSettings
 from torchid.notebooks import data_frame
 from torchid.results.agreement import RunValue
-from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable
+from torchid.results.answer import Answer, Diagnosis, JointError, NotTestable, Stopped
 from torchid.results.cause import LEFT_OUT, LINK, Cause, Error, JudgedOn
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Rows, by_joint
@@ -240,6 +241,7 @@ class TorqueDiagnosis(Diagnosis):
         knowledge: what was known of the model before, and what this log adds.
         doubt: what speaks against the log, which the headline says first.
         since: the earlier log that causes are held against; absent without one.
+        stopped_after: when the search was stopped for want of time; absent of a whole one.
         rows: the log, as a file beside the corrected model's holds it.
     """
 
@@ -268,6 +270,7 @@ class TorqueDiagnosis(Diagnosis):
     knowledge: Known | None = None
     doubt: str = ""
     since: str | UnsetType = UNSET
+    stopped_after: Stopped | UnsetType = UNSET
     rows: LogRows | None = None
 
     def __repr__(self) -> str:
@@ -360,7 +363,8 @@ class TorqueDiagnosis(Diagnosis):
             reason=self._reason,
             doubt=self.doubt or UNSET,
             since=self.since,
-        )
+            stopped=UNSET if self.stopped_after is UNSET else True,
+        ).explained_by(glosses)
 
     @property
     def _reason(self) -> str:

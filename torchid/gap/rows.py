@@ -20,7 +20,7 @@ import torch
 from torchid.design.segments import Samples, Segment
 from torchid.effects.motion import Motion
 from torchid.errors import RobotError
-from torchid.files import add_input, atomic_write
+from torchid.files import add_input, atomic_write, rows_file
 from torchid.log.filtering import low_passed
 from torchid.results.words import listed
 from torchid.robot.model import Robot
@@ -204,7 +204,7 @@ def write_with_rows(robot: Robot, rows: LogRows | None, path: Path) -> None:
         TorchidError: a file cannot be written.
     """
     if rows is not None and robot.knowledge is not None:
-        beside = path.with_suffix(".rows.npz")
+        beside = rows_file(path)
         known = replace(robot.knowledge, log=(beside.name, rows.write(beside)))
         robot = replace(robot, knowledge=known)
     write_robot(robot, path)

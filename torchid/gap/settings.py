@@ -28,7 +28,7 @@ class GapSettings:
             be worth a name.
         worthwhile_torque: the same as a share of the joint's torque.
         gain_std: how well the scale of each joint's torque is known, one standard deviation as a
-            share of it; None: 5 % where torque is current times a gain, else 1 %. Standard
+            share of it; if absent 5 % where torque is current times a gain, else 1 %. Standard
             deviations hold it.
         folds: parts of the data, each left out in turn when the answer is judged.
         max_effects: number of effects accepted at most.

@@ -19,7 +19,8 @@ from torchid.design.segments import Segment
 from torchid.effects.motion import Motion
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
-from torchid.gap.causes.explain import Explained, explain, of_asked_log
+from torchid.gap.causes.explain import AGAIN, Explained, explain, of_asked_log
+from torchid.gap.causes.search import JUDGED
 from torchid.gap.describe.checked import Decision, decide
 from torchid.gap.describe.claims import claims_of
 from torchid.gap.describe.closing import budget, residuals
@@ -43,7 +44,7 @@ from torchid.gap.stacked import beside, earlier_of
 from torchid.gap.told import told_bodies, valued
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
-from torchid.parallel.workers import Progress, in_shares
+from torchid.parallel.pace import Pace
 from torchid.results.answer import NotTestable, ordered
 from torchid.results.cause import LINK, Cause
 from torchid.robot.inertia import InertialParameters
@@ -52,9 +53,14 @@ from torchid.statistics.criteria import SHORTEST_LOG, UNLIKELY
 from torchid.typing import Float, Tensor
 
 STAGES = {
-    "preparing": 10, "searching for effects": 55, "judging": 18, "locating": 9, "done": 0,
+    "checking the log": 11, "preparing": 4, "what effects do": 5, "adding causes": 10,
+    "exchanging causes": 16, AGAIN[0]: 26, AGAIN[1]: 24, "judging": 10, "locating": 3, "done": 0,
 }  # fmt: skip
-"""That are told as progress, with about the share of the time that each takes [%]."""
+"""That are told as progress, with about the share of the time that each takes [1]."""
+SEARCH = ("adding causes", "exchanging causes", *AGAIN, *JUDGED)
+"""Those whose time goes with what is found; of others with the length of the log."""
+MUST = ("what effects do", *JUDGED)
+"""Those without which there is no answer."""
 
 
 def diagnose_torque(
@@ -63,12 +69,13 @@ def diagnose_torque(
     *,
     held_out: Log | None = None,
     settings: GapSettings | None = None,
-    progress: Progress | None = None,
+    pace: Pace | None = None,
     watch: Watch | None = None,
     force: bool = False,
     before: Log | LogRows | None = None,
 ) -> TorqueDiagnosis:
-    """A diagnosis of logs with torques; arguments and errors are those of `torchid.diagnose`.
+    """A diagnosis of logs with torques; arguments and errors are those of `torchid.diagnose`, and
+    `pace` hears which of `STAGES` begins, and says how much time there is.
 
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
@@ -80,34 +87,32 @@ def diagnose_torque(
         raise LogError(
             "both a held-out log and a held-out fraction are given.", expected="one of them"
         )
-    say = in_shares(progress, STAGES)
-    say("preparing")
+    pace = pace or Pace(None, STAGES)
+    pace("preparing")
     problem = pose(robot, log, held_out, settings, force)
     # Of an arm that stands nothing but a push is told.
     before = None if problem.data.stands else before
     earlier = None if before is None else earlier_of(before, problem, force)
     del log, held_out, before  # a long one is searched in part, and may now be let go
-    say("searching for effects")
     # Of no torque, or of an arm that stands still, there is nothing to say yet.
     tells = bool(problem.data.keep.any()) and not problem.data.stands
     told = telling(watch, robot) if tells and watch is not None else None
     asked = problem if earlier is None else beside(problem, earlier)
-    explained = of_asked_log(explain(asked, told), problem)
+    explained = of_asked_log(explain(asked, told, pace), problem)
     problem = explained.search.library.problem
     if not explained.found.fit.terms:
         problem.data.require_motion()
-    say("judging")
     found = Explanation.of(problem, explained.search, explained.found.fit)
     decision = decide(found, claims_of(explained))
-    say("locating")
-    result = describe_diagnosis(decision, explained)
-    say("done")
+    pace("locating")
+    result = describe_diagnosis(decision, explained, pace)
+    pace("done")
     return result if earlier is None else replace(result, since=earlier.source)
 
 
-def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagnosis:
+def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> TorqueDiagnosis:
     """The answer, from a decision on what was explained: where, which, how far, and what this log
-    could not show."""
+    could not show, as far as there is time."""
     found, checked, far = decision.found, decision.checked, decision.checked.far
     problem, data, settings = found.problem, found.problem.data, found.problem.settings
     falls = shares_of(found)
@@ -129,7 +134,11 @@ def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagno
     known = known_of(found, after, decision.least)
     said = with_changes(said, known, problem.robot)
     said, harmful = that_help(said, problem.robot, problem.judged is not None)
-    small = small_effects(found, explained)
+    small, of_few = tuple[Cause, ...](), tuple[Cause, ...]()
+    if pace.has_time("small effects"):
+        small = small_effects(found, explained)
+    if pace.has_time("causes of few runs"):
+        of_few = causes_of_few_runs(found, explained)
     unnamed = without_name(found, decision.claims, taken.shares)
     if decision.dropped is not None:
         every = without_name(*decision.dropped, [math.nan] * len(decision.dropped[1]))
@@ -171,7 +180,7 @@ def describe_diagnosis(decision: Decision, explained: Explained) -> TorqueDiagno
         covariance=covariance_of(found.solution),
         residual=residuals(checked.shown),
         small=small,
-        suspects=(*unnamed, *causes_of_few_runs(found, explained)),
+        suspects=(*unnamed, *of_few),
         knowledge=known,
         rows=kept(data.samples, problem.robot),
     )

@@ -15,9 +15,10 @@ from torchid.gap.describe.model import PAYLOAD
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.gap.told import valued
-from torchid.gap.torque import diagnose_torque
+from torchid.gap.torque import STAGES, diagnose_torque
 from torchid.log.model import Log
 from torchid.pair.record import OneSided, Side
+from torchid.parallel.pace import Pace
 from torchid.results.cause import LINK, Cause
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
@@ -36,15 +37,15 @@ def effects_of(
 ) -> tuple[tuple[OneSided, ...], tuple[TorqueDiagnosis | None, TorqueDiagnosis]]:
     """Effects that one of both has more of."""
 
-    def of(name: str) -> Progress:
-        return lambda stage, done, total: say(f"{name}: {stage}", done, total)
+    def of(name: str) -> Pace:
+        return Pace(lambda stage, done, total: say(f"{name}: {stage}", done, total), STAGES)
 
     # What the simulator does beside the model; with that the model is the simulator.
     first, simulator = None, robot
     if not _as_model(robot, simulated, settings):
-        first = diagnose_torque(robot, simulated, settings=settings, progress=of("simulator"))
+        first = diagnose_torque(robot, simulated, settings=settings, pace=of("simulator"))
         simulator = _with_its_load(first.corrected)
-    second = diagnose_torque(simulator, real, settings=settings, progress=of("arm"))
+    second = diagnose_torque(simulator, real, settings=settings, pace=of("arm"))
     rows = [
         _bodies(c, second) if c.effect == LINK else _one_sided(c, second) for c in second.causes
     ]

@@ -11,7 +11,7 @@ import os
 import pickle
 import signal
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,21 +45,6 @@ def stage(
     if progress is None:
         return None
     return lambda done, total: progress(name, before * total + done, parts * total)
-
-
-def in_shares(progress: Progress | None, shares: Mapping[str, int]) -> Callable[[str], None]:
-    """A callback of a stage alone, as it begins, of work whose stages take these shares of the
-    time, in this order: percents are done. A stage that does not come takes none."""
-    names, passed = list(shares), list[str]()
-
-    def say(name: str) -> None:
-        if progress is not None:
-            done = sum(shares[one] for one in passed)
-            left = sum(shares[one] for one in names[names.index(name) :])
-            progress(name, round(100 * done / (done + left)), 100)
-            passed.append(name)
-
-    return say
 
 
 def of(progress: Progress | None, name: str) -> Progress | None:

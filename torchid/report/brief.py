@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
+from msgspec import UNSET
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
@@ -90,13 +91,15 @@ class Screen:
 
     def _parts(self, detail: Detail, width: int) -> Iterator[Text | Table]:
         """From the headline to the cautions."""
-        answer, rows = self.answer, self.answer.joint_rows()
+        answer, rows, said = self.answer, self.answer.joint_rows(), list[str]()
         for line in answer.headline.split("\n"):
             yield Text(visible(line), "bold")
         if rows:
             band = f", below {digits(self.band)} Hz" if self.band else ""
             yield Text(visible(f"{answer.title}{band}"), "italic")
-            yield self._table(rows[: detail.joints], detail, width)
+            cells = [self._cells(row, detail, width) for row in rows[: detail.joints]]
+            said += (cell for row in cells for cell in row)
+            yield self._table(cells, width)
             if rest := rows[detail.joints :]:
                 left = max((r.error.after for r in rest if not r.never_moves), default=0.0)
                 yield Text(
@@ -104,14 +107,17 @@ class Screen:
                 )
         for same in answer.shared():
             text, how_sure, _ = cause_cells(same)
-            yield Text(visible(f"{answer.where(same)}: {text} ({how_sure})"))
+            said.append(f"{answer.where(same)}: {text}{_bracket(how_sure)}")
+            yield Text(visible(said[-1]))
+        if legend := answer.legend(" ".join(said)):
+            yield Text(visible(legend), "italic")
         for k, step in enumerate(first_steps(answer)[: detail.remedies]):
             yield Text(visible(f"{'Then' if k else 'Do first'}: {step}"))
         if self.model:
             yield Text(visible(self.model))
         yield from caution_lines([self.in_words(w) for w in self.warnings], width)
 
-    def _table(self, rows: Sequence[JointRow], detail: Detail, width: int) -> Table:
+    def _table(self, cells: Sequence[Sequence[str]], width: int) -> Table:
         """One row a joint."""
         table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1), pad_edge=False)
         wide, given = width >= WIDE, self.answer.given.split(" (")[0]
@@ -123,19 +129,20 @@ class Screen:
         table.add_column(
             "its own causes, value ± std (how sure)" if wide else "own cause (how sure)"
         )
-        longest = max((r.error.before for r in rows if not r.never_moves), default=0.0)
-        for row in rows:
-            error, label = row.error, short_label(row.label, NAME)
-            if row.never_moves:
-                table.add_row(label, "never moves")
-                continue
-            cells = [label, f"{digits(error.before)} -> {digits(error.after)}"]
-            if wide:
-                cells.append(span(error.noise, 2))
-                cells.append(bar(error.before, error.after, longest))
-            text = "; ".join(_causes(row, detail)) or self._hint(row, detail)
-            table.add_row(*(Text(visible(cell)) for cell in (*cells, text)))
+        for row in cells:
+            table.add_row(*(Text(visible(cell)) for cell in row))
         return table
+
+    def _cells(self, row: JointRow, detail: Detail, width: int) -> list[str]:
+        """Of the row of a joint."""
+        error, label = row.error, short_label(row.label, NAME)
+        if row.never_moves:
+            return [label, "never moves"]
+        cells = [label, f"{digits(error.before)} -> {digits(error.after)}"]
+        if width >= WIDE:
+            longest = max(j.before for j in self.answer.joints if not j.still)
+            cells += [span(error.noise, 2), bar(error.before, error.after, longest)]
+        return [*cells, "; ".join(_causes(row, detail)) or self._hint(row, detail)]
 
     def _hint(self, row: JointRow, detail: Detail) -> str:
         """What would lower the error of a joint without a cause of its own."""
@@ -146,6 +153,8 @@ class Screen:
         names = list(dict.fromkeys(c.name for c in shared))
         if names and error.after < UNCHANGED * error.before:
             return f"{listed(names, most=NAMED)} (below)"
+        if self.answer.status == "searching":
+            return "not explained so far"
         if error.after <= max(error.noise):
             return "noise"
         return "no cause found" + ("; may be noise" if math.isnan(error.noise[1]) else "")
@@ -179,8 +188,12 @@ def _may(row: JointRow, detail: Detail) -> str:
 def _named(cause: Cause, detail: Detail) -> str:
     """`torque gain 0.11 ± 0.02 (51 %)`."""
     values = f" {cause.values(detail.std)}{cause.rivals}".rstrip() if detail.values else ""
-    name = cause.glossed if detail.values else cause.name
-    return f"{name}{values} ({sure(cause.how_sure)})"
+    return f"{cause.name}{values}{_bracket(sure(cause.how_sure))}"
+
+
+def _bracket(how_sure: str) -> str:
+    """` (82 %)`, where a probability is known."""
+    return "" if how_sure == "-" else f" ({how_sure})"
 
 
 def bar(before: float, after: float, longest: float) -> str:
@@ -212,7 +225,8 @@ def caution_lines(warnings: Sequence[str], width: int) -> Iterator[Text]:
         shown += 1
         yield Text.assemble(("! ", "yellow"), visible(text))
     if shown < len(every):
-        yield Text(f"! {len(every) - shown} more cautions: --verbose, or torchid explain")
+        more = count(len(every) - shown, "more caution")
+        yield Text(f"! {more}: --verbose, or torchid explain")
 
 
 def model_words(answer: Answer, model: str | None, given: str) -> str:
@@ -236,6 +250,9 @@ def model_words(answer: Answer, model: str | None, given: str) -> str:
             "and no cause of it is sure."
         )
     name, errs = model or "the corrected model", f"error {after.size}"
+    # What happened once is no part of a model.
+    if once := dict.fromkeys(c.name for c in answer.causes if c.window is not UNSET):
+        errs += f" (beside {listed(once)} of this log alone)"
     whole = f"{answer.given} {digits(before.value)}"
     if not answer.confirmed:
         name = model or "The corrected model"

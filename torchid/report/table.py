@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, get_args, get_type_hints
 
 from msgspec import UNSET
 from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 Cell = str | Text
 """Plain text; a `Text` where the terminal shows it in a colour."""
+_NARROW = 16
+"""Characters that a column of words has at least, if it has so long ones."""
 
 
 @dataclass(frozen=True)
@@ -68,29 +72,70 @@ class Table:
         """Whether there is a row: what is empty is shown nowhere."""
         return any(self.rows)
 
-    def __rich__(self) -> RichTable:
-        """For the terminal."""
-        if self.printed is not self:
-            return self.printed.__rich__()
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """For the terminal. Where that is too narrow, columns of words are broken first, then
+        headings and cells at their spaces; no number is cut, and the last columns for which there
+        is no room are left out."""
+        shown, widths, gap = self.printed._fitted(options.max_width)
         title = Text(visible(self.title), "table.title")
-        table = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-        table.show_header = any(name.strip() for name in self.columns)
-        table.caption = Text(visible(self.note), "table.caption") if self.note else None
+        table = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+        table.padding = (0, gap > 1, 0, gap > 2)
+        table.show_header = any(name.strip() for name in shown.columns)
+        table.caption = Text(visible(shown.note), "table.caption") if shown.note else None
         table.caption_justify = "left"
-        table.min_width = self.least_width
-        for name, letter in zip(self.columns, self.letters, strict=True):
+        table.min_width = None if widths else self.least_width
+        for k, (name, letter) in enumerate(zip(shown.columns, shown.letters, strict=True)):
             table.add_column(
                 Text(visible(name)),
                 justify="right" if letter == "r" else "left",
-                no_wrap=letter != "p",
-                overflow="fold" if letter == "p" else "ellipsis",
+                no_wrap=letter != "p" and not widths,
+                overflow="fold",
+                width=widths[k] if widths else None,
             )
-        for row in self.rows:
+        for row in shown.rows:
             if row:
                 table.add_row(*(c if isinstance(c, Text) else Text(visible(c)) for c in row))
             else:
                 table.add_section()
-        return table
+        yield table
+
+    def _fitted(self, room: int) -> "tuple[Table, list[int], int]":
+        """Its columns that fit into `room` characters, their widths, none where all are as wide as
+        they like, and the characters between them."""
+        whole, own, least = zip(*map(self._needs, range(len(self.columns))), strict=True)
+        usual = [o if x == "p" else w for w, o, x in zip(whole, own, self.letters, strict=True)]
+        if sum(usual) + 3 * len(usual) < room:
+            return self, [], 3
+        count = max(1, sum(sum(least[: k + 1]) + k + 1 < room for k in range(len(least))))
+        shown = self
+        if count < len(least):
+            absent = ", ".join(" ".join(name.split()) for name in self.columns[count:])
+            note = f"{self.note} Not shown for want of room, but in the JSON: {absent}.".strip()
+            rows = [row[:count] for row in self.rows]
+            shown = replace(self, columns=self.columns[:count], rows=rows, note=note)
+            shown = replace(shown, align=self.letters[:count])
+        ways = [(own, 3), (own, 2), (own, 1), (least, 1)]
+        free = [room - 1 - sum(some[:count]) - gap * count for some, gap in ways]
+        way = next((k for k, left in enumerate(free) if left >= 0), -1)
+        widths, left = list(ways[way][0][:count]), free[way]
+        # What is left goes to the narrowest that want more.
+        for goal in (own, whole):
+            while left > 0 and (short := [k for k in range(count) if widths[k] < goal[k]]):
+                widths[min(short, key=widths.__getitem__)] += 1
+                left -= 1
+        return shown, widths, ways[way][1]
+
+    def _needs(self, column: int) -> tuple[int, int, int]:
+        """Characters of a column with all on one line, with the heading broken at spaces and words
+        as narrow as they may be, and with its cells broken at spaces, too."""
+        head, *texts = (visible(str(row[column])) for row in (self.columns, *self.rows) if row)
+        lines, words = (
+            _widest(x) for x in ("\n".join(texts).splitlines(), " ".join(texts).split())
+        )
+        whole, top = max(lines, _widest(head.splitlines())), _widest(head.split())
+        if self.letters[column] == "p":
+            lines = words = min(_NARROW, lines)
+        return whole, max(top, lines), max(top, words)
 
     def on_page(self) -> "Table":
         """For the page: a capital letter first, real superscripts in units, no colours."""
@@ -300,6 +345,10 @@ def pipe_table(
     lines = ["| " + " | ".join(head) + " |", f"|{'|'.join(marks or ['---'] * len(head))}|"]
     lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in body]
     return "\n".join(lines)
+
+
+def _widest(parts: Iterable[str]) -> int:
+    return max(map(cell_len, parts), default=0)
 
 
 def _plain(text: str) -> str:

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from torchid.report.table import Report, Table
+from torchid.results.words import count
 from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.planted import OUTSIDE, Calibration, Planted
 
@@ -19,8 +20,8 @@ def calibration_headline(found: Calibration) -> str:
     outside = [p for p in found.planted if p.effect == OUTSIDE]
     right, also = (sum(x) for x in ((p.named for p in inside), (p.in_set for p in inside)))
     text = (
-        f"Of {len(inside)} causes {found.times:g} times as large as the error that remains, "
-        f"{right} were named, {also} with those in a set"
+        f"Of {count(len(inside), 'cause')} {found.times:g} times as large as the remaining error, "
+        f"{right} {'was' if right == 1 else 'were'} named, {also} with those in a set"
     )
     sure = sum((p.how_sure or 0.0) >= SET_MASS for p in outside)
     return f"{text}; of {len(outside)} that no library has, {sure} got a sure name."

@@ -6,10 +6,12 @@ positions under commands give mrad of the log's unit.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import product
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import msgspec
@@ -32,22 +34,24 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
     digits,
+    effect_words,
     joint_labels,
     joints_words,
     listed,
     percent,
     span,
     sure,
+    unit_words,
 )
 
 MOST = 0.5
 """Share of the joints above which a cause that they have in common is one row."""
-LONGEST = 240
-"""Characters of a headline that names more than one cause: three lines of 80."""
-MOST_VALUES = 6
-"""Joints whose values it has, one by one."""
+LINE, LINES = 80, 3
+"""Characters of a line, and lines of a headline that names more than one cause."""
+MOST_VALUES = (6, 2)
+"""Joints whose values it has, one by one: as many as there is room for."""
 LARGEST = 3
-"""Causes that it names, with sizes and places."""
+"""Causes that it names, with sizes and places, where there is room for them."""
 FAILS = 2.0
 """Error of held-out data over that of motions left out in turn, from which on it is said first."""
 UNCHANGED = 0.99
@@ -56,8 +60,9 @@ UNCHANGED = 0.99
 ALL = 1 - 5e-4
 """Share of the error beyond a measured noise from which on it is all of it."""
 
-KINDS = ("Next time", "Caution")
-"""How warnings begin that ask for something; all others are for information."""
+KINDS = ("Stopped", "Next time", "Caution")
+"""How warnings begin that come first: that a search was, and those that ask for something; all
+others are for information."""
 
 COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 
@@ -184,6 +189,8 @@ class Answer(Part, frozen=True, kw_only=True):
         reason: why nothing is named, where that is so.
         doubt: what speaks against the log, said first; absent where nothing does.
         since: the earlier log that causes are held against; absent without one.
+        stopped: whether most causes were not looked for, for want of time; absent of a whole one.
+        glosses: what names of effects say that are not everybody's, of those that it names.
     """
 
     status: str
@@ -205,6 +212,8 @@ class Answer(Part, frozen=True, kw_only=True):
     reason: str = ""
     doubt: str | UnsetType = UNSET
     since: str | UnsetType = UNSET
+    stopped: bool | UnsetType = UNSET
+    glosses: dict[str, str] = msgspec.field(default_factory=dict)
 
     @classmethod
     def so_far(
@@ -227,6 +236,19 @@ class Answer(Part, frozen=True, kw_only=True):
                 for j, (name, before, after) in enumerate(joints)
             ),
         )  # fmt: skip
+
+    def explained_by(self, glosses: Callable[[Iterable[str]], dict[str, str]]) -> "Answer":
+        """With what the names of its effects say, where they are not everybody's."""
+        every = (*self.causes, *self.suspects, *self.small)
+        names = (name for c in every for name in (c.effect, *c.ambiguous_with))
+        return msgspec.structs.replace(self, glosses=glosses(names))
+
+    def legend(self, text: str) -> str:
+        """`Cogging: torque that ripples over position.`, of the names that stand in a text."""
+        said = text.lower()
+        words = ((effect_words(name), gloss) for name, gloss in self.glosses.items())
+        every = "; ".join(f"{name}: {gloss}" for name, gloss in words if name.lower() in said)
+        return f"{every[:1].upper()}{every[1:]}." if every else ""
 
     @property
     def less(self) -> float:
@@ -288,6 +310,8 @@ class Answer(Part, frozen=True, kw_only=True):
         worst = max(self.joints, key=lambda j: j.beyond_noise)
         # Beside what speaks against all of the log no bracket of its noise does.
         gap = f"No known effect explains {self.error} of {size}"
+        if self.stopped is not UNSET:
+            gap = f"Most causes of {self.error} of {size} were not looked for in the time"
         gap += "." if self.doubt else f" (noise {noise})."
         gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
         text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
@@ -298,31 +322,38 @@ class Answer(Part, frozen=True, kw_only=True):
 
     def _of_causes(self) -> str:
         """The largest causes with sizes and places, and how far all of them lower the error."""
-        after, rest = self.after, ""
+        after = self.after
         change = f"error {digits(self.before.value)} -> {after.size} {after.words}"
         if self.confirmed:
             change += f" ({percent(self.less)} less"
             # What has no name may as well cancel against the causes.
             if self.unnamed > 0 and percent(self.unnamed) != percent(0.0):
-                change += f", {percent(self.unnamed)} without a sure name"
-            change += (
-                ", to the noise)" if self.noise_measured and (self.closed or 0) >= ALL else ")"
-            )
-            if self.status in ("detected_unexplained", "partly_explained"):
-                rest = " The rest has no known cause."
+                change += f", {percent(self.unnamed)} unnamed"
+            if self.noise_measured and (self.closed or 0) >= ALL:
+                change += ", to the noise"
+            elif self.status in ("detected_unexplained", "partly_explained"):
+                change += "; rest unexplained"
+            change += ")"
 
         def order(same: Sequence[Cause]) -> tuple[bool, float]:
             return same[0].when == "in both", -math.hypot(*map(self.takes, same))
 
         groups = sorted(self.groups(self.entries), key=order)
-        for most in range(LARGEST, 0, -1):
+        held = [c for c in self.suspects if c.share == c.share]
+        perhaps = list[str]()
+        if held and self.unnamed > self.less / 2:  # what has a sure name closes the lesser part
+            first = max(held, key=lambda c: c.share)
+            perhaps = [f"perhaps {first.name} {first.place}".rstrip()]
+        fewest = 0 if perhaps else 1
+        word = "more" if self.since or perhaps else "smaller"
+        for most, values in product(range(LARGEST, fewest - 1, -1), MOST_VALUES):
             smaller = len(groups) - most
-            names = list(map(self.sized, groups[:most]))
-            others = [f"{smaller} {'more' if self.since else 'smaller'}"] if smaller > 0 else []
+            names = [*perhaps, *(self.sized(same, values) for same in groups[:most])]
+            others = [f"{smaller} {word}"] if smaller > 0 else []
             text = listed([*names, *others])
             text = text if self.confirmed else f"not confirmed: {text}"
-            text = f"{text[:1].upper()}{text[1:]}: {change}.{rest}"
-            if len(text) <= LONGEST:
+            text = f"{text[:1].upper()}{text[1:]}: {change}."
+            if len(wrap(text, LINE)) <= LINES:
                 break
         return text
 
@@ -350,11 +381,18 @@ class Answer(Part, frozen=True, kw_only=True):
         own = [j for j in self.joints if (j.joint in cause.at or not cause.at) and not j.still]
         return max((min(cause.share * j.before, j.before - j.after) for j in own), default=0.0)
 
-    def sized(self, same: Sequence[Cause]) -> str:
+    def sized(self, same: Sequence[Cause], values: int = MOST_VALUES[0]) -> str:
         """`8.03 N m Coulomb friction on joint 2`, `torque gain on all joints (gain = 0.3)`; of what
-        has no one number how much it takes away."""
+        has no one number, and where no more than the kind is sure, how much it takes away.
+
+        Args:
+            same: causes of one name.
+            values: joints whose values it has; of more the least and the largest.
+        """
         first, name = same[0], common_name(same[0], same)
-        if first.effect == LINK:
+        kind = next((c.kind for c in same if c.branch), "")
+        name = kind or name
+        if first.effect == LINK and not kind:
             name = Cause(effect=LINK, joints=tuple(j for c in same for j in c.at)).name
         elif any(c.at for c in same):
             name += f" on {self.where(same)}"
@@ -364,14 +402,10 @@ class Answer(Part, frozen=True, kw_only=True):
         size = first.known[0].sharp if first.known and len(same) == 1 else None
         if first.law is not UNSET:
             inner = law_sizes([c.law for c in same if c.law is not UNSET])
-        elif len(same) > 1 and all(c.known for c in same):
-            inner = values_of(same, most=MOST_VALUES)
-        elif size is None:
-            inner = f"{digits(math.hypot(*map(self.takes, same)), 2)} {self.unit}"
-        elif first.branch:
-            kind, _, likely = name.partition(" (likely ")
-            likely, _, place = likely.partition(")")
-            return f"{kind}{place} (likely {size.words} {likely})"
+        elif len(same) > 1 and not kind and all(c.known for c in same):
+            inner = values_of(same, most=values)
+        elif size is None or kind:
+            inner = f"{digits(math.hypot(*map(self.takes, same)), 2)} {unit_words(self.unit)}"
         elif size.plain and (len(first.sizes) == 1 or first.effect == "payload"):
             return f"{size.words} {name}"
         else:
@@ -460,7 +494,7 @@ class Answer(Part, frozen=True, kw_only=True):
         """`all joints`, `joints 1, 2 and 4`, `link 5`, `the arm`: where causes of one name act."""
         joints = sorted({j for c in same for j in c.at})
         if same[0].effect == LINK and joints:
-            return f"link {listed(str(j + 1) for j in joints)}"
+            return joints_words(joints).replace("joint", "link")
         if len(joints) == len(self.joints) > 1:
             return "all joints"
         return joints_words(joints)
@@ -539,6 +573,23 @@ class Diagnosis(Result):
         return self.answer._repr_html_()
 
 
+class Stopped(Part, frozen=True):
+    """That a search was stopped for want of time.
+
+    Attributes:
+        seconds: after which it was [s].
+        left_out: what was not looked at, in words.
+    """
+
+    seconds: float
+    left_out: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """One sentence."""
+        left_out = listed(self.left_out)
+        return f"Stopped after {digits(self.seconds)} s (`time=...`); not looked at: {left_out}."
+
+
 class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
     """A diagnosis as its JSON has it.
 
@@ -546,8 +597,11 @@ class DiagnosisRecord(Record, frozen=True, eq=False, kw_only=True):
         answer: what it answers; None in files of older versions.
         explanation: what the command printed beside it: tables and sentences.
         agreement: what each run alone wants of each cause; empty of one run.
+        stopped_after: when the search was stopped for want of time, and what was not looked at;
+            absent of a whole one.
     """
 
+    stopped_after: Stopped | UnsetType = UNSET
     answer: Answer | None = None
     agreement: tuple[RunValue, ...] = ()
     explanation: dict[str, Any] | UnsetType = UNSET
@@ -575,7 +629,7 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
     end = (sure(min(known, default=None)), remedy_of(same, short=True))
     when = f", {first.when}" if first.when else ""
     if len(same) == 1:
-        name = "inertia" if first.effect == LINK and first.at else first.glossed
+        name = "inertia" if first.effect == LINK and first.at else first.name
         return (f"{name} {first.values()}".rstrip() + first.rivals + when, *end)
     rivals = next((c.rivals for c in same if c.rivals), "")
     return (f"{common_name(first, same)} {values_of(same)}{rivals}{when}", *end)

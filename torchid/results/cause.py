@@ -17,7 +17,6 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Joint, Part, Real, Values
 from torchid.results.words import (
     BRANCHES,
-    GLOSS,
     digits,
     effect_words,
     joints_words,
@@ -26,6 +25,7 @@ from torchid.results.words import (
     percent,
     span,
     unit_behind,
+    unit_words,
 )
 from torchid.statistics.criteria import LIKELY
 
@@ -85,16 +85,19 @@ class JudgedOn(Part, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """`on run9`, `on motions left out of the fit`, `on the data that were fitted`."""
+        """`on run9`, `on motions left out`, `on the data that were fitted`."""
         if self.how == "held out":
             return f"on {held_out_words(self.on)}"
         if self.how == "fitted":
             return "on the data that were fitted"
-        return f"on {'stretches' if len(self.on) == 1 else 'motions'} left out of the fit"
+        return f"on {'stretches' if len(self.on) == 1 else 'motions'} left out"
 
     @property
     def whole(self) -> str:
-        """The same, with what was done to them: `on run9, which was not fitted`."""
+        """The same, with what was done to them: `on run9, which was not fitted`, `on motions left
+        out of the fit`."""
+        if self.how == LEFT_OUT.how:
+            return f"{self.words} of the fit"
         was = "was" if len(set(self.on)) == 1 else "were"
         named = self.how == "held out" and 0 < len(self.on) <= MOST_NAMES
         return self.words + f", which {was} not fitted" * named
@@ -118,7 +121,7 @@ class Error(JudgedOn, frozen=True, kw_only=True):
     @property
     def size(self) -> str:
         """`0.31 N m`."""
-        return f"{digits(self.value)} {self.unit}"
+        return f"{digits(self.value)} {unit_words(self.unit)}"
 
 
 class Window(Part, frozen=True):
@@ -179,8 +182,9 @@ class Size:
 
     @property
     def plain(self) -> bool:
-        """Whether it stands before what it is of: `4 N m`; no change, plain number or limit."""
-        return self.was is None and self.unit != "1" and math.isfinite(self.value)
+        """Whether it stands before what it is of: `4 N m`; no change, plain number or limit, and
+        nothing with a sign."""
+        return self.was is None and self.unit != "1" and 0 < self.value < math.inf
 
     @property
     def sharp(self) -> "Size":
@@ -288,6 +292,12 @@ class Cause(Part, frozen=True, kw_only=True):
         return self.probabilities.get(self.effect, 1.0) < LIKELY
 
     @property
+    def any_of(self) -> str:
+        """Its set, the likeliest first, where another than itself is that; else nothing."""
+        ranked = sorted(self.probabilities, key=lambda name: -self.probabilities[name])
+        return listed(map(effect_words, ranked if self.effect in ranked[1:] else []), "or")
+
+    @property
     def sizes(self) -> tuple[Size, ...]:
         """Coefficients, that which makes most of its torque first."""
         return tuple(
@@ -304,22 +314,20 @@ class Cause(Part, frozen=True, kw_only=True):
         )
 
     @property
+    def kind(self) -> str:
+        """Its branch in words, where no more is sure; else nothing."""
+        return BRANCHES[self.branch] if self.branch else ""
+
+    @property
     def name(self) -> str:
         """In words."""
         if self.branch:
-            likely = msgspec.structs.replace(self, branch="").name
-            return f"{BRANCHES[self.branch]} (likely {likely})"
+            likely = f"likely {msgspec.structs.replace(self, branch='').name}"
+            return f"{self.kind} ({f'one of {self.any_of}' if self.any_of else likely})"
         if self.effect != LINK:
             return effect_words(self.effect)
-        links = listed(str(k + 1) for k in self.at)
-        many = "s" if len(self.at) > 1 else ""
-        return f"inertia of link{many} {links}" if self.at else "inertial parameters"
-
-    @property
-    def glossed(self) -> str:
-        """Its name, and in brackets what it says where that is not plain."""
-        gloss = "" if self.branch else GLOSS.get(self.effect, "")
-        return f"{self.name} ({gloss})" if gloss else self.name
+        links = f"{'s' * (len(self.at) > 1)} {listed(str(k + 1) for k in self.at)}"
+        return f"inertia of link{links}" if self.at else "inertial parameters"
 
     def values(self, std: bool = True) -> str:
         """Its numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60 -> 15 N
@@ -329,14 +337,12 @@ class Cause(Part, frozen=True, kw_only=True):
         if self.law is not UNSET:
             return self.law.words(std)
         massless = self.effect == "payload" and any(not s.determined for s in self.sizes[:1])
-        end = "; mass not known" if massless else ""
-        end += "" if self.window is UNSET else f", {self.window.words}"
+        when = "" if self.window is UNSET else f", {self.window.words}"
+        end = "; mass not known" * massless + when
         sizes = self.known[: 1 if self.effect == "payload" else MOST_SIZES]
         if not sizes:
             return "" if math.isnan(self.share) else f"{percent(self.share)} of the error{end}"
-        if not std:
-            sizes = (sizes[0].sharp,)
-        return ", ".join(map(self.in_words, sizes)) + end
+        return ", ".join(map(self.in_words, sizes if std else (sizes[0].sharp,))) + end
 
     def in_words(self, size: Size) -> str:
         """One of its numbers, with its name where it has several."""
@@ -345,7 +351,7 @@ class Cause(Part, frozen=True, kw_only=True):
     @property
     def rivals(self) -> str:
         """`, or Stribeck friction`: what the log cannot separate from it."""
-        others = [effect_words(name) for name in self.ambiguous_with]
+        others = [] if self.branch and self.any_of else list(map(effect_words, self.ambiguous_with))
         more = f" or {len(others) - 1} others" if len(others) > 2 else ""
         return f", or {others[0] if more else listed(others, 'or')}{more}" if others else ""
 
@@ -356,8 +362,9 @@ class Cause(Part, frozen=True, kw_only=True):
 
 
 def values_of(same: Sequence[Cause], most: int | None = None) -> str:
-    """The main number of causes of one name, joint by joint: `Fv = 60 -> 15, 20, 12 N m s/rad`; of
-    more than `most` joints the least and the largest."""
+    """The main number of causes of one name, joint by joint: `60 -> 15, 20, 12 N m s/rad`, with its
+    name where they have several or it has no unit; of more than `most` joints the least and the
+    largest."""
     size = max(same, key=lambda c: c.share if c.share == c.share else 0.0).sizes[0]
     by_joint = sorted(same, key=lambda c: c.at)
     own = [next((s for s in c.sizes if s.name == size.name), None) for c in by_joint]
@@ -366,7 +373,9 @@ def values_of(same: Sequence[Cause], most: int | None = None) -> str:
         text = _side_by_side([some[0], some[-1]]).replace(", ", " to ")
     else:
         text = _side_by_side(own)
-    return f"{size.name} = {text} {unit_behind(size.unit)}".rstrip()
+    several = size.unit == "1" or any(len(c.sizes) > 1 for c in same)
+    name = f"{size.name} = " if several else ""
+    return f"{name}{text} {unit_behind(size.unit)}".rstrip()
 
 
 def law_sizes(laws: Sequence[FrictionLaw]) -> str:
@@ -415,11 +424,12 @@ def remedy_of(same: Sequence[Cause], short: bool = False) -> str:
 
 
 def cut_line(same: Sequence[Cause]) -> str:
-    """What cuts events out of each log that has some: `of run1: log = log.select(..)`."""
+    """What cuts events out of each log with some: `in Python, of run1: log = log.select(..)`."""
     each: dict[str, list[str]] = {}
     for window in (c.window for c in same if c.window is not UNSET):
         each.setdefault(window.trajectory, []).append(window.outside)
-    return "; ".join(f"of {k}: `log = log.select({' & '.join(x)})`" for k, x in each.items())
+    masks = {k: x[0][1:-1] if len(x) == 1 else " & ".join(x) for k, x in each.items()}
+    return "; ".join(f"in Python, of {k}: `log = log.select({x})`" for k, x in masks.items())
 
 
 def common_name(cause: Cause, others: Sequence[Cause]) -> str:

@@ -12,18 +12,6 @@ BRANCHES = {
 }
 """Branches of the tree of causes (`torchid.effects.base.Branch`)."""
 
-GLOSS = {
-    "cogging": "torque ripples over position",
-    "filter_lag": "dq is late",
-    "gear_coupling": "one motor turns two joints",
-    "load_hysteresis": "a friction loop that widens with load",
-    "presliding_hysteresis": "friction that builds up before the joint slides",
-    "set_point_profile": "the servo limits its own acceleration",
-    "stribeck_friction": "more friction at low speed",
-    "torque_crosstalk": "load on one joint shows on another's sensor",
-}
-"""What names say that are not everybody's."""
-
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
@@ -83,8 +71,9 @@ def digits(value: float, most: int = 3) -> str:
 
 
 def unit_words(unit: str) -> str:
-    """`kg m^2` as `kg m²`."""
-    return unit.replace("^2", "²").replace("^3", "³")
+    """`kg m^2` as `kg m²`; `N m, N` of joints of both kinds as `N m and N`."""
+    both = unit.replace("N m, N", "N m and N")
+    return both.replace("^2", "²").replace("^3", "³")
 
 
 def unit_behind(unit: str) -> str:

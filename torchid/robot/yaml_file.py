@@ -23,7 +23,7 @@ from torchid.robot.knowledge import from_mapping as knowledge_of
 from torchid.robot.model import STANDARD_GRAVITY, Basis, JointType, Limits, Mimic, Robot, Tip
 from torchid.robot.origin import read_origin
 from torchid.robot.placement import dh_classical, dh_modified, pose, rotation_z
-from torchid.robot.yaml_values import number, numbers, parsed_yaml
+from torchid.robot.yaml_values import number, numbers, text_and_content
 from torchid.typing import Float
 
 CONVENTIONS = ("classical", "modified")
@@ -127,8 +127,9 @@ def read_yaml(path: Path) -> Robot:
     Raises:
         RobotError: not yaml, an unknown key, a wrong count, or a value that is not a number.
     """
-    robot = from_mapping(parsed_yaml(path), str(path))
-    first = path.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# warning: ")
+    text, content = text_and_content(path)
+    robot = from_mapping(content, str(path))
+    first = text.partition("\n")[0].removeprefix("# warning: ")
     return replace(robot, warnings=(first,)) if first.startswith(UNCONFIRMED) else robot
 
 

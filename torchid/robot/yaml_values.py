@@ -17,8 +17,14 @@ _EXPONENT = "yaml reads 1e-3 as text: write 1.0e-3"
 
 def parsed_yaml(path: Path) -> Any:
     """The content of a yaml file, or a RobotError."""
+    return text_and_content(path)[1]
+
+
+def text_and_content(path: Path) -> tuple[str, Any]:
+    """The text of a yaml file, whose comments are no content, and its content, or a RobotError."""
     try:
-        return yaml_data.parsed_yaml(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return text, yaml_data.parsed_yaml(text)
     except RecursionError as error:
         raise RobotError(f"'{path}' is not valid yaml: it is nested too deeply.") from error
     except (yaml.YAMLError, ValueError, TypeError, KeyError) as error:

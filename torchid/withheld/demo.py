@@ -18,11 +18,12 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.files import write_text
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import diagnose_torque
+from torchid.gap.torque import STAGES, diagnose_torque
 from torchid.identification.identify import Identification, identify
 from torchid.json_data import plain, read_json, write_json
 from torchid.log.model import Log
 from torchid.log.readers import read_log, write_log
+from torchid.parallel.pace import Pace
 from torchid.parallel.workers import Progress
 from torchid.results.cause import Cause
 from torchid.robot.config_files import config_folder
@@ -198,8 +199,8 @@ def demonstrate(files: Files, seed: int, progress: Progress | None = None) -> De
     robot, log, new = load_robot(files.robot), read_log(files.logs), read_log(files.new)
     examination = examine(robot, log)
     identification = identify(robot, log, held_out=new, progress=progress)
-    settings = GapSettings(seed=seed)
-    found = diagnose_torque(robot, log, held_out=new, settings=settings, progress=progress)
+    settings, pace = GapSettings(seed=seed), Pace(progress, STAGES)
+    found = diagnose_torque(robot, log, held_out=new, settings=settings, pace=pace)
     withheld = read_json(files.key, "the key of the demonstration")["withheld"]
     opened = tuple(
         Comparison(one, one is withheld, _finding(found, one, robot)) for one in (*PLAIN, withheld)

@@ -186,7 +186,7 @@ def calibrate(
         progress: called with (stage, done, total).
 
     Raises:
-        TorchidError: a floating base, or less than one cause.
+        TorchidError: a floating base, less than one cause, or a diagnosis of the gap alone.
 
     >>> import torchid
     >>> robot = torchid.load_robot("3r")

@@ -43,7 +43,7 @@ def call(*arguments: object):
 def test_families_with_equal_torque(tmp_path):
     got = call(
         "3r", "--per-kind", 15, "--json", tmp_path / "w.json",
-        "--out", tmp_path / "out", "--seed", 3, "--resamples", 20,
+        "--out", tmp_path / "out", "--pictures", "--seed", 3, "--resamples", 20,
     )  # fmt: skip
     assert got.exit_code == 0, got.output
     text = " ".join(got.output.split())
@@ -70,7 +70,7 @@ def test_families_with_equal_torque(tmp_path):
 def test_given_sets_against_the_nominal_one(folder, tmp_path):
     got = call(
         "3r", "--sets", folder / "sets.json", "--trajectory", folder / "motion.csv",
-        "--json", tmp_path / "w.json", "--out", tmp_path,
+        "--json", tmp_path / "w.json", "--out", tmp_path, "--pictures",
     )  # fmt: skip
     assert got.exit_code == 0, got.output
     data = json.loads((tmp_path / "w.json").read_text())

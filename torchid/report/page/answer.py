@@ -21,7 +21,7 @@ def cause_line(cause: Cause) -> tuple[str, str, str, str]:
     others = listed((effect_words(x) for x in cause.ambiguous_with), "or", most=2)
     # A word that stands at every cause says nothing.
     how_sure = "" if cause.how_sure is None or cause.how_sure > CLEAR else sure(cause.how_sure)
-    name = cause.glossed
+    name = cause.name
     size = cause.in_words(cause.known[0]) if cause.known else ""
     size = size if cause.law is UNSET else cause.values()
     size += "" if cause.window is UNSET else f", {cause.window.words}"
@@ -31,7 +31,10 @@ def cause_line(cause: Cause) -> tuple[str, str, str, str]:
 
 def first_steps(answer: Answer) -> list[str]:
     """What to do first: remedies of the causes that remove most, where data that were not fitted
-    confirm them; else the doubt, what would settle suspects, or the motion that would decide."""
+    confirm them; else the doubt, what would settle suspects, or the motion that would decide;
+    nothing while the search goes on."""
+    if answer.status == "searching":
+        return []
     if not answer.confirmed:
         return _to_decide(answer)
     same: dict[str, list[Cause]] = {}
@@ -69,11 +72,14 @@ def _to_decide(answer: Answer) -> list[str]:
             f"fit motions like those {answer.after.words}, too: there the answer does not hold."
         ]
     if answer.causes:
-        return [
+        # What happened once no other motion confirms.
+        events = [c for c in answer.causes if c.window is not UNSET]
+        names = listed(dict.fromkeys(c.name for c in events))
+        return [f"cut out what happened once ({names}), {cut_line(events)}."] * bool(events) + [
             "record other motions and hold one out (--held-out): these logs confirm no cause. "
             "`torchid excite --for gap.json` plans motions that tell."
         ]
     return [
-        f"To settle {c.name} {c.place}".rstrip() + f": {remedy_of([c]).rstrip('.')}."
+        f"to settle {c.name} {c.place}".rstrip() + f": {remedy_of([c]).rstrip('.')}."
         for c in answer.suspects[:MOST_ADVICE]
     ]

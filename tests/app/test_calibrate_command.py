@@ -1,0 +1,38 @@
+"""`torchid calibrate ROBOT LOG...`, and what `torchid gap` has of it."""
+
+import json
+
+import pytest
+
+from tests.gap.test_diagnose import REAL, logged
+from torchid.log.readers import write_log
+from torchid.results.files import load
+
+FEW = ("--effects", "coulomb_friction,torque_offset", "--cutoff", "8", "--seed", "1")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A log of the 3R with friction."""
+    path = tmp_path_factory.mktemp("calibrate") / "run.csv"
+    write_log(logged(REAL, (3, 4, 3), 5), path)
+    return path
+
+
+@pytest.mark.slow
+def test_a_cause_is_planted_and_gap_says_the_same(command, run, tmp_path, types_unchecked):
+    own, moved = tmp_path / "own", tmp_path / "moved"
+    done = command("calibrate", "3r", run, *FEW, "--causes", 1, "--out", own)
+    assert done.code == 0, done.err
+    said = json.loads((own / "calibration.json").read_text())
+    assert said["schema"] == "torchid.gap.calibration/1"
+    assert len(load(own / "calibration.json").planted) == 1
+    text = " ".join(done.out.split())
+    assert "Coulomb friction" in text  # what the log itself lacks
+    assert "Of 1 causes" in text
+    before = command("gap", "3r", run, *FEW, "--calibrate", 1, "--out", moved)
+    assert before.code == 0, before.err
+    assert "torchid calibrate ROBOT LOG..." in " ".join(before.out.split())
+    again = json.loads((moved / "calibration.json").read_text())
+    assert again["planted"] == said["planted"]
+    assert json.loads((moved / "gap.json").read_text())["schema"] == "torchid.gap/2"
