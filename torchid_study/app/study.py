@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from torchid.app import options as opt
-from torchid.app.output import Reported
-from torchid.app.signature import Switch, command
+from torchid.app.output import Output
+from torchid.app.signature import Fields, Switch, command
 from torchid.extraction.settings import Schedule
 from torchid.files import make_folder
 from torchid.robot.config_files import robot_file
@@ -38,7 +38,7 @@ def study_command(
     instead: Changes,
     figures: bool = True,
     engine: opt.Crew,
-    output: Annotated[Reported, "study.json"],
+    output: Annotated[Output, Fields("json_file out report overwrite quiet threads"), "study.json"],
     device_name: opt.Device = "cpu",
 ) -> None:
     """Reproduce a study of the report: identify, extract six scenarios, classify, compare wrenches.

@@ -8,7 +8,7 @@ import typer
 import torchid
 from torchid.app import options as opt
 from torchid.app.inputs import RECORDED
-from torchid.app.output import Computed
+from torchid.app.output import Drawn
 from torchid.app.signature import command
 from torchid.errors import TorchidError
 from torchid_study.equal_torque.settings import MARGIN
@@ -28,7 +28,7 @@ def wrenches_command(
     margin: Annotated[float, typer.Option(min=0, max=100)] = MARGIN,
     resamples: opt.Count = 1000,
     seed: opt.Seed = 0,
-    output: Annotated[Computed, "wrenches.json"],
+    output: Annotated[Drawn, "wrenches.json"],
 ) -> None:
     """Compare the internal forces of parameter sets: by reason, by degree, by joint.
 
