@@ -115,7 +115,7 @@ def test_a_result_has_the_hash_of_each_file_beside_it(command, folder, tmp_path)
     said = json.loads((out / "identification.json").read_text())
     written = {path.name: path for path in out.glob("*.png")}
     assert written
-    assert said["files"] == {
+    assert said["hashes"] == {
         name: sha256(path.read_bytes()).hexdigest() for name, path in written.items()
     }
     assert torchid.load(out / "identification.json").n_base == said["n_base"]

@@ -186,7 +186,7 @@ class Output:
         for temporary, target in files if hashes else ():
             if target in self.answers:
                 data = read_json(temporary, "the command's own")
-                write_json({**data, "files": hashes}, temporary)
+                write_json({**data, "hashes": hashes}, temporary)
 
     @property
     def silent(self) -> bool:
