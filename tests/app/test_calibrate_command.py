@@ -29,7 +29,7 @@ def test_a_cause_is_planted_and_gap_says_the_same(command, run, tmp_path, types_
     assert len(load(own / "calibration.json").planted) == 1
     text = " ".join(done.out.split())
     assert "Coulomb friction" in text  # what the log itself lacks
-    assert "Of 1 causes" in text
+    assert "Of 1 cause " in text
     before = command("gap", "3r", run, *FEW, "--calibrate", 1, "--out", moved)
     assert before.code == 0, before.err
     assert "torchid calibrate ROBOT LOG..." in " ".join(before.out.split())

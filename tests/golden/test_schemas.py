@@ -61,7 +61,9 @@ def are_read_back(document: dict[str, Any], folder: Path) -> None:
     found = torchid.load(folder / "given.json")
     assert found.schema == document["schema"]
     found.save(folder / "again.json")
-    assert json.loads((folder / "again.json").read_text()) == document
+    # Of the files beside a command's own JSON another file says nothing.
+    own = {k: v for k, v in document.items() if k != "hashes"}
+    assert json.loads((folder / "again.json").read_text()) == own
     assert len(repr(found).splitlines()) == 1
     assert len(found.to_frame()) == len(found.table)
     assert found._repr_html_().startswith("<p>")

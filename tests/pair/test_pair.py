@@ -212,5 +212,5 @@ PAIRS = Path(__file__).parents[2] / "torchid_bench/benchmarks/pairs.py"
 def test_pairs_of_mujoco(number):
     """A handful of the generator's pairs, of a seed on which thresholds were chosen."""
     own = runpy.run_path(str(PAIRS))
-    result = own["one"]((903, number, False))
+    result = own["one"](903, number, False)
     assert result["right"], result
