@@ -1,5 +1,6 @@
 """Writing files so that a reader never sees half of one, and so that no input is lost."""
 
+import hashlib
 import os
 import secrets
 from collections.abc import Iterable, Iterator
@@ -95,6 +96,16 @@ def require_name(name: str) -> None:
 def rows_file(model: Path) -> Path:
     """Beside a model's file, the log that it was made from."""
     return model.with_suffix(".rows.npz")
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def similar_files(path: Path, suffixes: Iterable[str] = ()) -> list[str]:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +25,7 @@ from torchid.errors import TorchidError, visible
 from torchid.files import (
     Staged,
     discard,
+    file_hash,
     make_folder,
     put_in_place,
     remove_empty,
@@ -182,7 +182,7 @@ class Output:
     def _hash(self, files: Staged) -> None:
         """Into the command's JSON SHA-256 of each file beside it, by its name."""
         others = [pair for pair in files if pair[1] not in self.answers]
-        hashes = {target.name: sha256(t.read_bytes()).hexdigest() for t, target in others}
+        hashes = {target.name: file_hash(temporary) for temporary, target in others}
         for temporary, target in files if hashes else ():
             if target in self.answers:
                 data = read_json(temporary, "the command's own")

@@ -112,8 +112,9 @@ def diagnose(
         )
     earlier, missing = earlier_log(robot, before, log, rows=rows and torques)
     every = log if held_out is None else Log.concatenate([log, held_out])
-    pace = Pace(progress, STAGES, SEARCH, MUST, time, begun=begun)
-    if not torques:
+    if torques:
+        pace = Pace(progress, STAGES, SEARCH, MUST, time, begun=begun)
+    else:
         pace = Pace(progress, SERVO_STAGES, (), MUST_OF_SERVOS, time, begun=begun)
     pace("checking the log")
     # Several threads of BLAS make small matrices many times slower.
@@ -134,11 +135,10 @@ def diagnose(
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
-    end = pace.stopped_after
-    stopped = () if end is None else (Stopped(end, pace.left_out),)
-    said = (*map(str, stopped), *missing, *doubts.warnings, *told)
-    found = replace(found, doubt=text, warnings=said)
-    found = replace(found, stopped_after=stopped[0]) if stopped else found
+    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *told))
+    if pace.stopped_after is not None:
+        stopped = Stopped(pace.stopped_after, pace.left_out)
+        found = replace(found, stopped_after=stopped, warnings=(str(stopped), *found.warnings))
     mark = found.answer.unconfirmed
     if not mark or not isinstance(found, TorqueDiagnosis):
         return found

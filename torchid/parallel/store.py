@@ -26,6 +26,7 @@ from joblib.memory import (
 )
 
 from torchid.errors import LogError, TorchidError
+from torchid.files import file_hash
 from torchid.json_data import plain
 
 Answer = TypeVar("Answer")
@@ -146,9 +147,7 @@ def content_hash(path: Path) -> str:
     try:
         for file in path.rglob("*") if path.is_dir() else [path]:
             if not file.is_dir():
-                with open(file, "rb") as stream:
-                    digest = hashlib.file_digest(stream, "sha256").hexdigest()
-                found[file.relative_to(path).as_posix()] = digest
+                found[file.relative_to(path).as_posix()] = file_hash(file)
     except OSError as error:
         raise LogError(f"'{path}' cannot be read: {error.strerror or error}.") from error
     return key_of(found) if path.is_dir() else found["."]

@@ -112,11 +112,11 @@ class Evidence:
         spread = prior_deviations(known.names)
         gram = known.gram[:, joint].sum(0) / known.noise[joint].clamp(min=1e-300)
         told = torch.eye(len(spread), dtype=gram.dtype) + spread[:, None] * gram * spread
-        least = (float(torch.logdet(told[on][:, on])) for on in (mask, mask & ~own))
+        whole, others = (float(torch.logdet(told[on][:, on])) for on in (mask, mask & ~own))
         at = [INDEX[name] for name in known.names]
         neutral = torch.tensor([PARAMETERS[k].neutral for k in at], dtype=gram.dtype)
         logs = torch.tensor([PARAMETERS[k].kind == "log" for k in at])
         away = (searched(known.servos)[joint, at] - neutral) / spread
         # Where a limit is, or how large a gain, nothing was expected beforehand.
         away = torch.where(logs | ~neutral.isfinite(), 0.0, away)[own]
-        return 0.5 * (next(least) - next(least) + float(away.square().sum()))
+        return 0.5 * (whole - others + float(away.square().sum()))

@@ -3,13 +3,13 @@ exactly such a file says where its links are."""
 
 import re
 from collections.abc import Mapping
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
 from torchid.errors import RobotError
+from torchid.files import file_hash
 from torchid.robot.model import Robot
 from torchid.robot.tree import Choice, choice_of
 from torchid.robot.yaml_values import known
@@ -36,7 +36,7 @@ def origin_of(robot: Robot) -> Mapping[str, Any]:
     part = {key: chosen[key] for key in _PART if chosen[key]}
     if part.get("lock"):
         part["lock"] = dict(part["lock"])
-    return {"path": str(path.resolve()), "sha256": _digest(path), **part}
+    return {"path": str(path.resolve()), "sha256": file_hash(path), **part}
 
 
 def read_origin(data: Any, source: str) -> Mapping[str, Any]:
@@ -63,7 +63,7 @@ def of_own_file(robot: Robot, suffix: str) -> tuple[Robot, tuple[str, ...]]:
     if path.suffix.lower() != suffix:
         return robot, ()
     there = [p for p in (path, Path(robot.source).parent / path.name) if p.is_file()]
-    same = [p for p in there if _digest(p) == robot.file["sha256"]]
+    same = [p for p in there if file_hash(p) == robot.file["sha256"]]
     if same:
         from torchid.robot.library import load_robot
 
@@ -95,7 +95,3 @@ def _rounding(robot: Robot) -> float:
     digits = max((len(m.replace(b".", b"")) for m in mantissas), default=0)
     # Of numbers below ten.
     return min(max(_ROUNDED * 10.0 ** (1 - digits), _CLOSEST), _FARTHEST)
-
-
-def _digest(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()

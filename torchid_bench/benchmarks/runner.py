@@ -19,6 +19,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin
 
+from torchid.files import write_text
+
 
 def command(
     *functions: Callable[..., object], words: Sequence[str] | None = None, **fixed: object
@@ -123,9 +125,7 @@ def _kept(function: Callable[..., Any], case: Sequence[Any], file: Path | None) 
     found = function(*case)
     failed = isinstance(found, dict) and found.get("error")
     if file is not None and found is not None and not failed:
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(found, indent=1))
-        part.replace(file)
+        write_text(file, json.dumps(found, indent=1))
     return found
 
 

@@ -111,11 +111,10 @@ def without_name(
         claims: its causes.
         shares: of the error that each takes; NaN where the corrected model does not hold it.
     """
-    every_pair = zip(claims, shares, strict=True)
-    pairs = ((c, share) for c, share in every_pair if c.unnamed and c.alone_sure >= POSSIBLE)
     every = (
         structs.replace(_entry(found, one.term, one.alone_sure), share=share)
-        for one, share in pairs
+        for one, share in zip(claims, shares, strict=True)
+        if one.unnamed and one.alone_sure >= POSSIBLE
     )
     return tuple(sorted(every, key=lambda e: -(e.how_sure or 0.0)))
 

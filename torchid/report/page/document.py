@@ -33,7 +33,7 @@ from lxml import etree
 
 import torchid
 from torchid.errors import MissingExtraError, TorchidError
-from torchid.files import write_text
+from torchid.files import file_hash, write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
 from torchid.report.page.answer import cause_line
 from torchid.report.panels import Picture, plain_texts, printable
@@ -210,9 +210,7 @@ def input_files(named: Iterable[tuple[str, str, Path]]) -> tuple[InputFile, ...]
         for file in files:
             shown = name if file == path else f"{name}/{file.relative_to(path).as_posix()}"
             try:
-                with open(file, "rb") as stream:
-                    digest = hashlib.file_digest(stream, "sha256").hexdigest()
-                out.append(InputFile(role, shown, file.stat().st_size, digest))
+                out.append(InputFile(role, shown, file.stat().st_size, file_hash(file)))
             except OSError as error:
                 raise TorchidError(
                     f"'{file}' cannot be read: {error.strerror or error}."
