@@ -144,7 +144,7 @@ SET = ("gap.json", "which.png", "model.yaml", "sub.json")
 
 
 def write_set(folder: Path, text: str) -> Staged:
-    files: Staged = []
+    files: Staged = {}
     with staged(files):
         for name in SET:
             write_text(folder / name, text)
@@ -163,7 +163,7 @@ def test_a_set_has_its_names_at_once_or_not_at_all(tmp_path: Path) -> None:
     put_in_place(write_set(tmp_path, "old"))
     assert held(tmp_path) == dict.fromkeys(SET, "old")
     write_text(tmp_path / "stale.png", "old")
-    put_in_place(write_set(tmp_path, "new"), [tmp_path / "stale.png"])
+    put_in_place(write_set(tmp_path, "new") | {tmp_path / "stale.png": None})
     assert held(tmp_path) == dict.fromkeys(SET, "new")
 
 

@@ -13,8 +13,6 @@ LARGEST = 1e21
 """Size of numbers that nothing measured or built has in any unit, not even time in nanoseconds:
 beyond it, products of a few of them are none any more."""
 
-FEW = 4
-"""Choices of which the nearest need not be told."""
 
 _BEGINNING = reprlib.Repr()
 _BEGINNING.maxlevel, _BEGINNING.maxlist, _BEGINNING.maxtuple, _BEGINNING.maxdict = 4, 40, 40, 40
@@ -88,7 +86,8 @@ class TorchidError(Exception):
             parts.append(f"  expected: {_brief(self.expected)}")
         if self.available is not None:
             choices = [str(a) for a in self.available]
-            near = self._nearest(choices) if len(choices) > FEW else []
+            # 4: choices of which the nearest need not be told
+            near = self._nearest(choices) if len(choices) > 4 else []
             parts += [f"  nearest: {', '.join(near)}"] if near else []
             parts.append(f"  available: {', '.join(choices)}")
         if self.hint is not None:
@@ -96,7 +95,7 @@ class TorchidError(Exception):
         return visible("\n".join(parts))
 
     def _nearest(self, choices: list[str]) -> list[str]:
-        """Those of the choices that what was got, or a name in the problem, may have meant."""
+        """The choices that what was got, or a name in the problem, may have meant."""
         named = re.search(r"'([^']+)'", self.problem)
         word = (self.got if isinstance(self.got, str) else named[1] if named else "")[:100]
         within = [c for c in choices if len(word) > 3 and word in c][:2]

@@ -16,8 +16,9 @@ UNCONFIRMED = "not confirmed:"
 """How the first line of a file begins whose model no data confirm."""
 _MODES = ("w", "wb")
 _INPUTS: ContextVar[list[Path] | None] = ContextVar("inputs", default=None)
-Staged = list[tuple[Path, Path]]
-"""Files that are written whole, and where they will be."""
+Staged = dict[Path, Path | None]
+"""Where files will be that are written whole, and their temporary names; None for a file of an
+earlier set, which goes when these come."""
 _STAGED: ContextVar[Staged | None] = ContextVar("staged", default=None)
 
 
@@ -182,9 +183,9 @@ def probe(folder: Path) -> None:
 
 
 @contextmanager
-def staged(files: Staged) -> Iterator[None]:
-    """While it lasts, `atomic_write` leaves what it has written under a temporary name, and adds it
-    to these files; `put_in_place` gives all of them their names."""
+def staged(files: Staged | None) -> Iterator[None]:
+    """While it lasts, `place` adds files to these, and `put_in_place` gives all of them their
+    names; with None each file has its own at once, as without this."""
     token = _STAGED.set(files)
     try:
         yield
@@ -192,26 +193,37 @@ def staged(files: Staged) -> Iterator[None]:
         _STAGED.reset(token)
 
 
-def put_in_place(files: Staged, stale: Iterable[Path] = ()) -> None:
+def place(files: Staged) -> None:
+    """Give files that belong together their names, at the end of `staged` where that lasts.
+
+    Raises:
+        TorchidError: as `put_in_place`.
+    """
+    around = _STAGED.get()
+    if around is None:
+        put_in_place(files)
+    else:
+        discard({target: around.pop(target, None) for target in files})
+        around.update(files)
+
+
+def put_in_place(files: Staged) -> None:
     """Rename files that belong together, in their order, but JSON last.
 
     A JSON that stands in the place of one of them is removed before: whoever finds one has the
     whole set, even where this is stopped half-way.
 
-    Args:
-        files: from `staged`.
-        stale: files of an earlier set that have no successor.
-
     Raises:
         TorchidError: a file cannot be renamed.
     """
-    answers = [pair for pair in files if pair[1].suffix == ".json"]
-    others = [pair for pair in files if pair not in answers]
+    in_order = sorted(files.items(), key=lambda pair: pair[0].suffix == ".json")
     try:
-        for old in [target for _, target in answers] * (len(files) > 1) + [*stale]:
-            old.unlink(missing_ok=True)
-        for temporary, target in (*others, *answers):
-            os.replace(temporary, target)
+        for target, temporary in in_order:
+            if temporary is None or (len(files) > 1 and target.suffix == ".json"):
+                target.unlink(missing_ok=True)
+        for target, temporary in in_order:
+            if temporary is not None:
+                os.replace(temporary, target)
     except OSError as error:
         discard(files)
         raise TorchidError(
@@ -221,7 +233,7 @@ def put_in_place(files: Staged, stale: Iterable[Path] = ()) -> None:
 
 def discard(files: Staged) -> None:
     """Remove files that are not in their place."""
-    for temporary, _ in files:
+    for temporary in filter(None, files.values()):
         with suppress(OSError):
             temporary.unlink()
 
@@ -261,12 +273,7 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO[Any]]:
                 os.fsync(file.fileno())
             if target.exists():
                 os.chmod(temporary, target.stat().st_mode & 0o7777)
-            if (files := _STAGED.get()) is None:
-                os.replace(temporary, target)
-            else:
-                discard([pair for pair in files if pair[1] == target])
-                files[:] = [pair for pair in files if pair[1] != target]
-                files.append((temporary, target))
+            place({target: temporary})
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()

@@ -8,9 +8,6 @@ import torch
 from torchid.errors import TorchidError
 from torchid.typing import Numbers, Tensor
 
-MOST = 100_000
-"""Draws that can be asked for."""
-
 
 def as_tensor(values: Any, what: str, error: type[TorchidError] = TorchidError) -> Tensor:
     """A floating tensor of what a user gives.
@@ -53,8 +50,10 @@ def _floats(array: np.ndarray) -> np.ndarray:
 
 def require_count(count: object, what: str, least: int = 1) -> None:
     """Raise TorchidError unless this is a whole number, and no larger than anybody can use."""
-    if type(count) is not int or not least <= count <= MOST:
-        wanted = f"a whole number, {least} to {MOST}"
+    # Draws that can be asked for
+    most = 100_000
+    if type(count) is not int or not least <= count <= most:
+        wanted = f"a whole number, {least} to {most}"
         raise TorchidError(f"so many {what} cannot be drawn.", got=[count], expected=wanted)
 
 

@@ -8,17 +8,17 @@ DEEPEST = 100
 """Lists and mappings inside of each other: libyaml takes some ten thousand, and then ends the
 process."""
 
-MOST_MERGED = 10_000
-"""Keys that merges (<<) may make of a mapping: each of a chain of them multiplies their number."""
-
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Merge what a mapping merges, which yaml does a level at a time."""
         own = len(node.value)
         super().flatten_mapping(node)
-        if len(node.value) > max(own, MOST_MERGED):
-            raise yaml.YAMLError(f"merges (<<) make more than {MOST_MERGED} keys")
+        # Keys that merges (<<) may make of a mapping: each of a chain of them multiplies their
+        # number
+        most_merged = 10_000
+        if len(node.value) > max(own, most_merged):
+            raise yaml.YAMLError(f"merges (<<) make more than {most_merged} keys")
 
 
 def parsed_yaml(text: str) -> Any:

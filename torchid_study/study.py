@@ -42,10 +42,6 @@ from torchid_study.settings import MotionSettings, Scenario, StudySettings
 from torchid_study.wrenches.alike import alike
 from torchid_study.wrenches.compare import compare
 
-PAYLOAD_RATE = 200.0
-"""Sampling rate [Hz] of the logs of the payload part, which have the noise of real sensors and are
-filtered: the report's 29 Hz would be too slow."""
-
 
 def excitation(robot: Robot, settings: MotionSettings) -> Log:
     """The planned exciting trajectories (eq. 5.1)."""
@@ -116,7 +112,9 @@ def payload_part(robot: Robot, settings: StudySettings, motion: Log) -> PayloadR
     mass = torch.tensor([body.mass], dtype=torch.float64)
     true = InertialParameters.from_com(mass, com, inertia).pi[0]
     loaded = with_payload(robot, true)
-    plan = excitation(robot, replace(settings.excitation, rate=PAYLOAD_RATE))
+    # 200.0: sampling rate [Hz] of the logs of the payload part, which have the noise of real
+    # sensors and are filtered: the report's 29 Hz would be too slow
+    plan = excitation(robot, replace(settings.excitation, rate=200.0))
     chosen = Settings(effects=settings.effects, signs="free")
     results = []
     for k, arm in enumerate((robot, loaded)):
@@ -132,9 +130,6 @@ def payload_part(robot: Robot, settings: StudySettings, motion: Log) -> PayloadR
 
 
 Report = Callable[[str, int, int], None]
-
-_BELOW = 1e-6
-"""Share of phi_min by which a feasible set's loss may be below it: the solver's rounding."""
 
 
 def run_study(
@@ -187,7 +182,9 @@ def run_study(
         own = _scenario_result(robot, scenario, found, test)
         scenarios.append(own)
         # A feasible set with less loss than is possible is a fault, never to be passed over.
-        least = certificates[scenario.bounds].phi_min * (1 - _BELOW)
+        # 1e-6: share of phi_min by which a feasible set's loss may be below it: the solver's
+        # rounding
+        least = certificates[scenario.bounds].phi_min * (1 - 1e-6)
         below = int((own.feasibility.feasible & (found.phi < least)).sum())
         if below:
             said = "sets are feasible and have a loss below phi_min"

@@ -20,3 +20,15 @@ def test_the_page_of_one_result_is_refused(command, tmp_path):
     assert done.code == 1
     assert "an index of a folder" in done.err
     assert not page.exists()
+
+
+def test_the_only_result_of_the_present_folder_needs_no_name(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "holds no result" in command("explain").err
+    (tmp_path / "out").mkdir()
+    diagnosis().save(tmp_path / "out" / "gap.json")
+    named = command("explain", "out/gap.json")
+    assert (named.code, named.out) == (0, command("explain").out)
+    assert named.out == command("explain", "out").out
+    diagnosis().save(tmp_path / "other.json")
+    assert "2 results below ." in command("explain").out

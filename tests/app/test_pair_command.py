@@ -28,7 +28,7 @@ def test_a_fault_is_said_first(command, pair, tmp_path):
     assert done.code == 0, done.err
     assert "2 times as long" in " ".join(done.out.split())
     said = json.loads((tmp_path / "pair.json").read_text())
-    assert said["schema"] == "torchid.pair/1"
+    assert said["schema"] == "torchid.pair/2"
     assert said["faults"][0]["fault"] == "time_step"
     assert load(tmp_path / "pair.json").faults[0].value == pytest.approx(2, rel=1e-3)
 
@@ -105,6 +105,17 @@ def test_gap_says_the_same_and_that_it_moved(command, pair, monkeypatch, tmp_pat
     assert json.loads((tmp_path / "a.json").read_text()) == json.loads(
         (tmp_path / "b.json").read_text()
     )
+
+
+@pytest.mark.parametrize(
+    "more", [("--pictures", "--out", "out"), ("--servo", "kp=1"), ("--time", "9")]
+)
+def test_gap_of_a_pair_says_what_a_pair_has_not(command, pair, monkeypatch, tmp_path, more):
+    monkeypatch.chdir(tmp_path)
+    logs = ("--simulated", pair / "fast.csv", "--real", pair / "real.csv")
+    done = command("gap", *logs, *more)
+    assert (done.code, done.err.count(more[0])) == (1, 1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_without_a_pair_robot_and_logs_are_needed(command):

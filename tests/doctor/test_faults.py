@@ -23,7 +23,7 @@ def test_sizes_are_of_the_motion_before_what_nobody_confirms(denied, where):
         SimpleNamespace(move=SimpleNamespace(kind="position sign", before=before))
         for before in ("first", "second")
     ]
-    result = SimpleNamespace(found=found, final=SimpleNamespace(hypothesis="end"))
+    result = SimpleNamespace(faults=found, final=SimpleNamespace(hypothesis="end"))
     with patch("torchid.doctor.faults._nominal_objects", side_effect=denied):
         assert confirmed(result, denied_faults(None, result)) == where
 
@@ -36,4 +36,4 @@ def test_a_zero_is_held_against_the_robot_s_own_parameters(planted, denied):
     judge, start = Judge(robot, rows), Hypothesis.literal(robot)
     turned = Map.of(robot.n, offsets=[-math.pi / 2 * (k == 3) for k in range(robot.n)])
     found = SimpleNamespace(move=Move("zero", (3,), start, turned))
-    assert bool(denied_faults(judge, SimpleNamespace(found=[found]))) == denied
+    assert bool(denied_faults(judge, SimpleNamespace(faults=[found]))) == denied

@@ -8,7 +8,7 @@ import torch
 
 from tests.gap.small_logs import ONCE, ROBOT, Recording, arm, friction, logged
 from torchid.doctor.check import judged
-from torchid.doctor.examine import Examination
+from torchid.doctor.examine import Examination, examine
 from torchid.doctor.first import Doubts, WrongLogError, ask_first
 from torchid.gap.diagnose import diagnose
 from torchid.gap.settings import GapSettings
@@ -46,6 +46,23 @@ def test_a_wrong_log_stops_and_says_how_it_is_mended(change, name):
 def test_a_sound_log_raises_no_doubt():
     assert ask_first(ROBOT, SOUND).short == ""
     assert ask_first(ROBOT, SOUND).warnings == ()
+
+
+def test_what_bodies_explain_to_rounding_is_not_searched() -> None:
+    """No fault's mending could gain enough; the whole examination, which says what every move would
+    cost, has the same verdicts. One fault, and it is searched."""
+    quiet = logged(ROBOT, Recording(ONCE, duration=6.0, noise=0.01))
+    first, whole = examine(ROBOT, quiet, first=True), examine(ROBOT, quiet)
+    assert first.search is not None
+    assert whole.search is not None
+    assert not first.search.costs
+    assert whole.search.costs
+    assert first.search.left.tolist() == pytest.approx(whole.search.left.tolist())
+    verdicts = {c.name: c.verdict for c in whole.checks}
+    assert all(verdicts[c.name] == c.verdict for c in first.checks)
+    faulty = examine(ROBOT, negated(2), first=True).search
+    assert faulty is not None
+    assert faulty.costs
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from unittest.mock import patch
 
 import pytest
 import torch
@@ -9,6 +10,11 @@ import torch
 from tests.doctor.synthetic import clean
 from torchid.doctor.examine import examine, signal_checks
 from torchid.doctor.flag import columns_option
+from torchid.doctor.hypothesis import Hypothesis, Judge
+from torchid.doctor.moves import Move
+from torchid.doctor.repair import Map, shifted
+from torchid.doctor.samples import samples
+from torchid.doctor.search import FoundFault, Search, rms, search
 from torchid.log.checks import check_log
 from torchid.log.readers import read_log, write_log
 
@@ -123,3 +129,24 @@ def test_limits_wider_than_two_turns_count():
     checks, mended = signal_checks(wide, log.replace(q=q))
     assert {c.name for c in checks if c.verdict in ("wrong", "doubtful")} == set()
     assert torch.equal(mended.q, q)
+
+
+@pytest.mark.parametrize("spring", [True, False])
+def test_a_zero_that_a_spring_explains_as_well_is_none(spring):
+    """A cable bends on joint 7, or joint 4 has another zero: a search has ended with a zero, which
+    leaves a tenth of the error."""
+    robot, log = clean("panda", 0)
+    joint, angle = (5, 0.0) if spring else (3, math.pi / 2)
+    held, offsets = torch.zeros_like(log.q), [angle * (k == joint) for k in range(robot.n)]
+    held[:, 6] = 5.0 * log.q[:, 6] * spring
+    rows = samples(shifted(("q",), offsets).apply(log.replace(tau=log.tau + held)))
+    judge, start = Judge(robot, rows), Hypothesis.literal(robot)
+    turned = Map.of(robot.n, offsets=[-math.pi / 2 * (k == joint) for k in range(robot.n)])
+    move, before = Move("zero", (joint,), start, turned), judge.held_out(start)
+    zero = FoundFault(move, rms(before), rms(0.1 * before), 9.0, (8, 8), ())
+    ended, plain = (
+        Search(found, judge.score(start), share * before, ())
+        for found, share in (((zero,), 0.1), ((), 1.0))
+    )
+    with patch("torchid.doctor.search._greedy", side_effect=[ended, plain]):
+        assert search(judge, start) is (plain if spring else ended)

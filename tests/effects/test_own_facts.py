@@ -74,16 +74,6 @@ MISTAKES = (InertiaReferencePoint, InertiaScale, MirroredLink)
             },
         ),
         ("smooth", {"time_delay", "filter_lag", "joint_elasticity"}),
-        (
-            "on_all",
-            {
-                "viscous_friction",
-                "coulomb_friction",
-                "torque_offset",
-                "rotor_inertia",
-                "torque_gain",
-            },
-        ),
     ],
 )
 def test_flags(flag: str, names: set[str]) -> None:

@@ -10,11 +10,12 @@ import torchid
 from tests.export.test_randomise import found  # noqa: F401
 from torchid.dynamics.forward import bias_torque, mass_matrix
 from torchid.effects.model import ArmModel
+from torchid.effects.servo import INDEX
 from torchid.errors import TorchidError
 from torchid.export.model import ServoModel
 from torchid.gap.record import GapRecord
 from torchid.position.model import ServoArm
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 
 DT = 0.002
 

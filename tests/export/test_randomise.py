@@ -199,8 +199,8 @@ def test_a_model_that_says_how_sure_it_is_is_drawn_from_alike(found: GapRecord) 
     model = found.corrected
     assert model is not None
     assert model.knowledge is not None
-    wide = randomise(model, robot=ROBOT)
-    same = randomise(found, robot=ROBOT)
+    wide = randomise(model, robot=ROBOT, draws=64)
+    same = randomise(found, robot=ROBOT, draws=64)
     rows = {(r.field, r.name): r for r in wide.ranges}
     for (field, joint), value in TRUE.items():
         row, own = (

@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 import torchid
 from tests.position.diagnosed import diagnosis
 from torchid.app.commands import app
+from torchid.effects.servo import INDEX
 from torchid.errors import TorchidError
 from torchid.position.fit import absolute
 from torchid.position.record import KnownRecord
-from torchid.simulation.servo import INDEX
 from torchid.simulators.servo import drawn_servos
 
 NAMES = ("kp", "armature", "delay")

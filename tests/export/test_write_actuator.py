@@ -13,12 +13,12 @@ import torch
 from tests.arms import arm
 from tests.simulators.test_actuator import DT
 from tests.simulators.test_mujoco import BESIDE, FIELDS
+from torchid.effects.servo import NAMES
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
 from torchid.export.export import export_dynamics
 from torchid.export.results import servo_dynamics
 from torchid.position.model import ServoArm
-from torchid.simulation.servo import NAMES
 from torchid.simulators.actuator import EffectTorque
 
 

@@ -12,6 +12,7 @@ from tests.arms import arm
 from tests.causes import numbers
 from torchid.effects.base import Effect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.gap.cause_records import body_cause, unit_of
 from torchid.gap.diagnosis import HowFar, TorqueDiagnosis, Trace
 from torchid.gap.record import (
     Budget,
@@ -23,7 +24,6 @@ from torchid.gap.record import (
     Status,
 )
 from torchid.gap.settings import GapSettings
-from torchid.gap.told import told_bodies, unit_of
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.results.answer import NotTestable
 from torchid.results.cause import Cause, Size
@@ -182,7 +182,7 @@ def diagnosis(status: Status = "explained", **changes: object) -> TorqueDiagnosi
     empty = {"causes": ()}
     by_status: dict[str, dict[str, object]] = {
         "no_gap": empty | {"how_far": HowFar(after, after, None, None)},
-        "parametric_only": {"causes": (told_bodies((2,), share=0.8),)},
+        "parametric_only": {"causes": (body_cause((2,), share=0.8),)},
         "not_testable": empty,
     }
     changes = by_status.get(status, {}) | changes

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from torchid.effects.motion import Motion
+from torchid.gap.cause_records import body_change
 from torchid.gap.diagnosis import TorqueOverTime, Trace, alien_joints
-from torchid.gap.told import body_change
 from torchid.robot.inertia import InertialParameters
 
 

@@ -15,9 +15,9 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, diagnosis, floor
 from torchid.design.columns import Model
 from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
+from torchid.gap.cause_records import body_cause, effect_cause, valued
 from torchid.gap.record import RegimeGap, Status
 from torchid.gap.settings import GapSettings
-from torchid.gap.told import told, told_bodies, valued
 from torchid.json_data import plain
 
 
@@ -89,7 +89,7 @@ def test_what_is_no_number_is_null():
 
 def test_inertial_parameters():
     changed = (
-        told_bodies((2,), share=0.5, ambiguous_with=("payload",)), told_bodies((), share=0.3),
+        body_cause((2,), share=0.5, ambiguous_with=("payload",)), body_cause((), share=0.3),
     )  # fmt: skip
     data = diagnosis(causes=changed).plain()
     (link,) = data["which"]  # all base parameters are no effect of one link
@@ -107,7 +107,7 @@ def test_rms_over_all_joints_is_the_root_of_the_sum_of_squares():
 def test_units_of_prismatic_joints():
     robot = mixed_arm("RPR")
     given = Model(robot, ())
-    slide = told((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
+    slide = effect_cause((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
     entry = diagnosis(robot=robot, causes=(slide,)).plain()["which"][0]
     assert entry["unit"] == {"Fv": "N s/m"}
 

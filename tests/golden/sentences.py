@@ -118,7 +118,10 @@ def a_step_takes_something_away(answer: Answer, _: dict[str, Any]) -> Breaks:
         yield f"confirmed, and {answer.before.size} -> {answer.after.size} {answer.after.words}"
     if not steps:
         yield "confirmed, and nothing to do"
-    for step in steps:
+    main = answer.main_suspect
+    if main is not None and not steps[0].startswith(f"to settle {main.name}"):
+        yield f"most is perhaps {main.name}, and '{steps[0]}' is first"
+    for step in steps[main is not None :]:
         entries = answer.entries
         same = [c for c in entries if step.startswith(common_name(c, entries))]
         if not sum(map(answer.takes, same)) > 0 or "(0 %" in step:

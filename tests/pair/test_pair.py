@@ -12,6 +12,8 @@ import torch
 import torchid
 from tests.gap.small_logs import carrying
 from tests.marks import some
+from torchid.effects.motion import Motion
+from torchid.effects.transient import Contact
 from torchid.errors import TorchidError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -162,17 +164,16 @@ def test_an_effect_of_one_side_is_named_with_its_side():
         "arm",
         True,
     )
-    assert more.arm["Fc"] == pytest.approx(0.8, abs=0.05)
+    assert more.parameters["Fc"] == pytest.approx(0.8, abs=0.05)
     # Too much is an answer, too: a simulator with friction that neither its file nor the arm has.
     less = compare_pair(log(("Fc",), noise=1e-4), log(), robot, settings=FEW).which[0]
     assert (less.effect, less.joints, less.more) == ("coulomb_friction", (1,), "simulator")
     assert less.only
-    assert less.simulator["Fc"] == pytest.approx(0.8, abs=0.05)
+    assert less.file["Fc"] == pytest.approx(0.8, abs=0.05)
 
 
 @pytest.mark.nightly
 def test_a_load_that_only_the_simulator_carries():
-    """It is taken into the simulator's last link, which the arm's is lighter than."""
     robot = load_robot("3r")
     light, motion = log(), log(noise=1e-4)
     heavy = carrying(0.5, (0.1, 0.02, 0.0), 2e-3)
@@ -183,7 +184,24 @@ def test_a_load_that_only_the_simulator_carries():
     found = compare_pair(loaded, light.replace(u=None), robot, settings=LOADS).which[0]
     assert found.effect in ("payload", "link_inertia")
     assert found.more == "simulator"
-    assert sum(found.simulator.values()) > sum(found.arm.values())
+
+
+@pytest.mark.slow
+def test_a_push_of_the_arm_has_its_force_and_its_time():
+    """What happened once is in no model of the arm, and is told with its numbers all the same."""
+    robot, one = load_robot("3r"), log(noise=1e-4)
+    push = Contact(start=4.0, stop=6.0)
+    force = torch.tensor([5.0, -4.0, 3.0], dtype=torch.float64)
+    torque = push.torque_columns(Motion(*_state(one), t=one.t), robot) @ force
+    pushed = log().replace(u=None)
+    pushed = pushed.replace(tau=pushed.tau + torque)
+    settings = replace(FEW, effects=(*FEW.effects, "contact"))
+    (found,) = compare_pair(one.replace(u=None), pushed, robot, settings=settings).which
+    assert (found.effect, found.more, found.only) == ("contact", "arm", True)
+    sizes = {size.name: (size.was, size.value) for size in found.sizes}
+    assert all(was == 0.0 for was, _ in sizes.values())
+    assert max(abs(value) for _, value in sizes.values()) > 2.0
+    assert found.window.from_s == pytest.approx(4.0, abs=0.3)
 
 
 def _state(one: Log) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -5,10 +5,11 @@ import math
 import torch
 
 from tests.arms import arm
+from torchid.effects.servo import INDEX
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.simulation.replay import replayed
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import Tracks, windows_of
 
 DT = 0.02

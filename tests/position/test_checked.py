@@ -6,13 +6,13 @@ import pytest
 import torch
 
 from tests.position.planted import planted, robot, true_servos
+from torchid.effects.servo import INDEX
 from torchid.position.checked import Checked, folds_of
 from torchid.position.data import prepare
 from torchid.position.effects import CORE
 from torchid.position.judge import equations
 from torchid.position.record import Accuracy
 from torchid.position.servo_model import Motions, ServoModel
-from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
 
 

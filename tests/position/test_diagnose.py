@@ -8,6 +8,7 @@ import torch
 from tests.marks import some
 from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
+from torchid.effects.servo import INDEX
 from torchid.position.data import prepare
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.effects import BY_NAME
@@ -18,7 +19,6 @@ from torchid.position.servo_model import ServoModel
 from torchid.report.brief import model_words
 from torchid.report.position import remarks, where_table
 from torchid.results.files import load
-from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import Windows
 
 CAUSES = {
@@ -106,7 +106,7 @@ def test_a_load_is_found_beside_servos():
     named = {f.effect: f for f in result.findings}
     assert set(named) - {"command_delay", "torque_offset"} == {"payload"}
     assert named["payload"].joint is None
-    # No torque is measured: what is heavier and stronger by one factor moves alike.
+    # What is heavier and stronger by one factor moves alike, but for the arm's own masses.
     mass = named["payload"].sizes[0]
     low, high = named["payload"].ci95["mass"]
     assert low <= 2.5 <= high

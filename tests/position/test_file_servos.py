@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -10,18 +9,18 @@ import torch
 from tests.marks import some
 from tests.position.planted import planted, robot, true_servos
 from tests.simulation.bodies import flywheel
+from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoMotion
 from torchid.position.diagnose import diagnose_positions
 from torchid.position.diagnosis import Number
 from torchid.position.file_servos import weighing_otherwise
 from torchid.position.findings import has_changed, in_degrees
 from torchid.position.model import ServoArm
 from torchid.position.replay import replay
-from torchid.position.search import _SIZES
 from torchid.report.brief import model_words
 from torchid.results.words import digits
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, TORQUES, Servos
+from torchid.simulation.servo import Servos
 
 DEGREES = 180 / math.pi
 
@@ -59,9 +58,10 @@ def test_limits_are_tried_however_stiff_the_servo_is(stiff):
     """From some size on that is tried the limit's own slope leads to it: none is further away than
     a factor of two."""
     u = torch.linspace(-1, 1, 1001, dtype=torch.float64)[:, None]
-    data = SimpleNamespace(tracks=SimpleNamespace(u=u), q=torch.zeros_like(u))
-    servos = Servos.neutral(1, kp=stiff * 2.2)
-    tried = _SIZES["clip"](data, servos).flatten()
+    sizes = PARAMETERS[INDEX["clip"]].sizes
+    assert sizes is not None
+    kp = torch.tensor([stiff * 2.2], dtype=torch.float64)
+    tried = sizes(ServoMotion(u, torch.zeros_like(u), torch.zeros_like(u), kp)).flatten()
     assert float((tried / 2.2).log().abs().min()) < math.log(2.0)
 
 

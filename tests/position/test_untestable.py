@@ -4,15 +4,15 @@ import pytest
 import torch
 
 from tests.position.planted import COUNT, planted, robot, true_servos
+from torchid.effects.servo import INDEX, PARAMETERS, ServoMotion
 from torchid.position.checked import closed_interval
 from torchid.position.data import PositionData, prepare
 from torchid.position.effects import CORE
 from torchid.position.fit import errors_of_one
 from torchid.position.judge import equations
-from torchid.position.search import _held
 from torchid.position.servo_model import Motions
 from torchid.position.untestable import USUAL, not_testable
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import windows_of
 
 MOVES = torch.ones(3, dtype=torch.bool)
@@ -64,7 +64,9 @@ def test_smallest_sizes_scale_with_what_calls_for_a_cause() -> None:
 def test_positions_at_a_soft_stop_are_near_it() -> None:
     servos = true_servos(3, stop_high=(3, 0.25))
     data = prepare(robot(), planted(servos, motions=6, seconds=16.0, seed=4))
-    held = _held(data.q, data.tracks.u)
+    sizes = PARAMETERS[INDEX["stop_high"]].sizes
+    assert sizes is not None
+    held = sizes(ServoMotion(data.tracks.u, data.q, data.dq, servos.of("kp")))[-2:]
     # Where the command is farthest beyond: a spring of ten times the servo's gain gives way.
     assert 0.25 < float(held[0, 2]) < float(held[1, 2]) < 0.35
 

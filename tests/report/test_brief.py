@@ -112,6 +112,19 @@ def test_a_cause_of_a_hundredth_of_the_error_is_no_step_however_sure() -> None:
     assert [s.split(",")[0] for s in first_steps(answer(2, (little,)))] == ["end stop"]
 
 
+def test_what_takes_most_is_first_however_unsure() -> None:
+    """The corrected model closes most by a term that has no sure name."""
+    named = msgspec.structs.replace(cause("backlash", 0), share=0.04)
+    held = [msgspec.structs.replace(cause("torque_gain", 1), share=x) for x in (0.2, 0.5)]
+    one = msgspec.structs.replace(answer(2, (named,), suspects=(*held,)), unnamed=0.8)
+    steps = first_steps(one)
+    assert [s.split(":")[0] for s in steps] == [
+        "to settle torque gain on joint 2", "backlash, joint 1 (4 % of the error)",
+    ]  # fmt: skip
+    small = msgspec.structs.replace(one, unnamed=0.01)
+    assert [s.split(",")[0] for s in first_steps(small)] == ["backlash"]
+
+
 def test_cautions_are_merged() -> None:
     lines = lines_of(Screen(answer=answer(2, ()), warnings=WARNINGS), 100)
     assert lines[-3:] == [

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from msgspec import structs
 
 from tests.gap.diagnoses import coulomb, diagnosis, floor, some_left, trace
 from tests.marks import quick_first
@@ -17,10 +18,12 @@ from torchid.report.friction import (
     friction_picture,
     friction_table,
 )
-from torchid.report.gap_figures import binned, map_figure, samples, worst_joints
+from torchid.report.gap_figures import binned, joint_figure, map_figure, samples, worst_joints
+from torchid.report.over_time import torque_over_time
 from torchid.report.panels import save
 from torchid.results.friction import FrictionAt, FrictionCurve, FrictionLaw
 from torchid.results.record import Rows
+from torchid.results.words import span
 
 
 @pytest.mark.parametrize("status", quick_first(["explained", "no_gap"], 1))
@@ -29,6 +32,21 @@ def test_every_figure_is_drawn(status, tmp_path):
     assert set(drawn) == {"where", "gap_joint_2", "torque"}
     for name, draw in drawn.items():
         assert save(draw(), tmp_path / f"{name}.png").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("source", ["repeats", "bracket"])
+def test_pictures_have_the_noise_of_the_answer(source):
+    """Without repeats the lowest that it may be, and not what the residual would be as noise."""
+    d = diagnosis(floor=structs.replace(floor(), source=source))
+    noise = d.answer.joints[1].noise
+    width, over_time = noise[source == "repeats"], torque_over_time(d)
+    for figure in (joint_figure(d, 1), over_time.draw(1)):
+        bands = [p for axes in figure.axes for p in axes.patches if "noise" in p.get_label()]
+        assert bands
+        for band in bands:
+            assert band.get_label() == f"noise, RMS {span(noise, 2)}"
+            assert (band.get_y(), band.get_height()) == pytest.approx((-width, 2 * width))
+    assert over_time.numbers()["noise"][1] == pytest.approx(width, rel=0.01)
 
 
 @pytest.mark.slow

@@ -5,18 +5,21 @@ import gzip
 import hashlib
 import json
 from dataclasses import replace
+from io import StringIO
 from typing import get_args
 
 import numpy as np
 import pytest
 from msgspec import structs
+from rich.console import Console
 
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, coulomb, diagnosis, some_left, trace
 from tests.marks import quick_first
 from tests.report.page.reading import headings, parsed, rows_of, text_of
+from torchid.gap.cause_records import body_cause
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Budget, Status
-from torchid.gap.told import told_bodies
+from torchid.report.brief import Screen
 from torchid.report.diagnosis import STATUS, page
 from torchid.report.page import document as rendering
 from torchid.report.page.document import InputFile, origin, render
@@ -85,7 +88,7 @@ def test_one_screen_then_sections_that_fold(undrawn):
 
 def test_numbers_are_those_of_the_json(undrawn):
     d = diagnosis(
-        causes=(FRICTION, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
+        causes=(FRICTION, VISCOUS, OFFSET, body_cause((2,), share=0.1)),
     )
     tree, data = page_of(d), d.plain()
     rows = rows_of(tree, "Causes of the error (value ± std)")
@@ -108,7 +111,7 @@ def test_numbers_are_those_of_the_json(undrawn):
 def test_the_answer_has_a_bar_a_joint_the_largest_error_first(undrawn):
     """With what stands below it: one number for one thing."""
     d = diagnosis(
-        causes=(FRICTION, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
+        causes=(FRICTION, VISCOUS, OFFSET, body_cause((2,), share=0.1)),
     )
     rows = page_of(d).xpath("//div[contains(@class, 'bars')]//tbody/tr")
     per_joint = {str(j["joint"]): j for j in d.plain()["how_far"]["per_joint"]}
@@ -142,7 +145,19 @@ def test_a_joint_without_a_cause_has_its_suspect(undrawn):
     said = [" ".join(cell.text_content().split()) for cell in cells]
     likely = "perhaps viscous friction 0.20 ± 0.10 N m s/rad (43 %; could also be backlash)"
     assert [text for text in said if "perhaps" in text] == [likely]
-    assert "no cause found" in said
+    assert "no cause found; may be noise" in said
+
+
+def test_a_joint_that_a_push_moves_has_that_cause(undrawn):
+    """The screen and the page say the same of joints without a cause of their own."""
+    push = structs.replace(VISCOUS, effect="contact", joints=(), located=(), removes=())
+    found = diagnosis(causes=(FRICTION, push))
+    cells = page_of(found).xpath("//td[@class='causes']")
+    said = [" ".join(cell.text_content().split()) for cell in cells]
+    assert said[1:3] == ["contact (below)", "no cause found; may be noise"]
+    console = Console(width=100, record=True, file=StringIO())
+    console.print(Screen(answer=found.answer))
+    assert console.export_text().count("contact (below)") == 1
 
 
 def test_names_of_suspects_are_explained_too(undrawn):

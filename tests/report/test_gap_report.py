@@ -16,9 +16,9 @@ from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, cause, diagnosis
 from torchid.design.columns import Model
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.registry import KINDS
+from torchid.gap.cause_records import body_cause, effect_cause
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.record import Status
-from torchid.gap.told import told, told_bodies
 from torchid.report import gap
 from torchid.report.diagnosis import report_of_diagnosis
 from torchid.results.answer import COLUMNS, LINE, LINES, Answer, JointError, NotTestable
@@ -69,7 +69,7 @@ def test_causes_that_close_nothing_are_not_confirmed():
 
 def test_headline_of_several_effects_names_those_that_close_most_in_three_lines():
     d = diagnosis(
-        causes=(VISCOUS, FRICTION, OFFSET, told_bodies((), share=0.1)),
+        causes=(VISCOUS, FRICTION, OFFSET, body_cause((), share=0.1)),
     )
     assert d.answer.headline == (
         "0.61 N m Coulomb friction on joint 2, inertial parameters (0.062 N m), 0.2 N m s/rad "
@@ -144,7 +144,7 @@ def test_a_headline_is_whole_and_a_row_has_all_cells(names, joints, status, clos
 def test_tables_hold_the_numbers():
     text = text_of(
         diagnosis(
-            causes=(VISCOUS, FRICTION, told_bodies((2,), share=0.1)),
+            causes=(VISCOUS, FRICTION, body_cause((2,), share=0.1)),
         )
     )
     for part in (
@@ -161,7 +161,7 @@ def test_tables_hold_the_numbers():
         "joint 2: its value rises with the cut-off",
         "2 0.61 N m 0.07 0.04 - 0.06 98 %",
         "all 0.617 N m 0.105",
-        "closed: 93 % [90, 95]; base parameters 2 %, effects 93 %, unexplained 5 %",
+        "closed beyond noise: 93 % [90, 95]; base parameters 2 %, effects 93 %, unexplained 5 %",
         "1: at no size",
         "3: 0.4 N m",
         "too small beside the noise",
@@ -246,7 +246,7 @@ def test_measure(value, std, expected):
 
 def test_units_of_prismatic_joints():
     given = Model(mixed_arm("RPR"), ())
-    slide = told((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
+    slide = effect_cause((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
     assert slide.sizes[0].named == "Fv = 0.20 ± 0.10 N s/m"
 
 

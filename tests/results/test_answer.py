@@ -175,3 +175,12 @@ def test_a_line_that_cuts_events_has_the_brackets_that_it_needs():
     assert cut_line(causes).endswith(
         "select(((log.t < 1.0) | (log.t > 1.5)) & ((log.t < 3.0) | (log.t > 3.5)))`"
     )
+
+
+def test_of_causes_without_numbers_so_far_joints_and_names_are_said():
+    """One name on two joints: a search knows its numbers at its end."""
+    causes = [Cause(effect="command_delay", joints=(j,)) for j in (1, 2)]
+    joints = [(f"j{k}", 3.0, 1.0) for k in range(1, 4)]
+    text = str(Answer.so_far("error", "mrad", (3.0, 1.0), joints, causes))
+    assert "joints 2 and 3  " in text
+    assert "command delay" in text

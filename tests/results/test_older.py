@@ -10,7 +10,7 @@ from torchid.errors import TorchidError
 from torchid.gap.older import of_positions
 from torchid.report.explain import report_of_file
 
-FIRST = Path(__file__).parent / "older" / "gap_1.json"
+FIRST, FIRST_PAIR = (Path(__file__).parent / "older" / f"{name}_1.json" for name in ("gap", "pair"))
 
 
 def test_a_diagnosis_of_gap_1_has_causes_of_one_kind(tmp_path):
@@ -65,3 +65,15 @@ def test_an_answer_of_positions_of_before():
     (told,) = now["answer"]["causes"]
     assert (told["parameters"], told["file"], told["share"]) == ({"kd": 2.0}, {"kd": 1.0}, 0.5)
     assert of_positions(now) is now
+
+
+def test_a_pair_of_pair_1_has_causes_of_one_kind(tmp_path):
+    found = torchid.load(FIRST_PAIR)
+    assert found.schema == "torchid.pair/2"
+    (one,) = found.which
+    was = json.loads(FIRST_PAIR.read_text())["which"][0]
+    (size,) = one.sizes
+    assert (size.was, size.value) == (was["simulator"]["Fc"], was["arm"]["Fc"])
+    assert (one.effect, one.more, one.only, one.how_sure) == ("coulomb_friction", "arm", True, 1.0)
+    found.save(tmp_path / "again.json")
+    assert torchid.load(tmp_path / "again.json").plain() == found.plain()

@@ -102,6 +102,19 @@ def scenes(inputs: Path) -> dict[str, Scene]:
             ("--overwrite",),
         ),
         Scene(
+            "export",
+            ("export", "3r_friction", "--to", "urdf", "--out", "out"),
+            ("--overwrite",),
+        ),
+        Scene(
+            "correct",
+            (
+                *("correct", "3r", str(inputs / "log.parquet"), "--effects", effects),
+                *("--to", "mjcf", "--with-effects", "--out", "out"),
+            ),
+            ("--overwrite",),
+        ),
+        Scene(
             "withheld run",
             ("withheld", "run", "cases", "--jobs", "1", "--json", "run.json"),
             prepare=lambda folder: shutil.copytree(inputs / "cases", folder / "cases"),
@@ -226,7 +239,7 @@ def _half(path: Path) -> str | None:
     readers: dict[str, Callable[[], object]] = {
         ".json": lambda: json.loads(content),
         ".pkl": lambda: joblib.load(path),
-        ".yaml": lambda: yaml.safe_load(content)["name"],
+        ".yaml": lambda: next(x for x in ("name", "of") if x in yaml.safe_load(content)),
         ".png": lambda: imread(io.BytesIO(content)),
         ".parquet": lambda: pyarrow.parquet.read_table(path),
         ".svg": lambda: content.index(b"</svg>"),

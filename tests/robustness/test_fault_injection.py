@@ -16,6 +16,8 @@ pytestmark = pytest.mark.slow
         ("extract", 3, 2, 1, 1),
         ("gap", 3, 2, 0, 1),
         ("identify", 3, 2, 0, 1),
+        ("export", 3, 2, 0, 1),
+        ("correct", 3, 2, 0, 1),
         pytest.param("extract by two", 2, 0, 0, 0, marks=pytest.mark.nightly),
         pytest.param("fleet identify by two", 2, 2, 0, 0, marks=pytest.mark.nightly),
     ],

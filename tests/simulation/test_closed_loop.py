@@ -13,7 +13,7 @@ from torchid.effects.registry import KINDS, Valued, model_torque, nominal_effect
 from torchid.errors import LogError, RobotError, TorchidError
 from torchid.log.model import Log
 from torchid.robot.model import Robot
-from torchid.simulation.closed_loop import closed_loop
+from torchid.simulation.closed_loop import closed_loop, plant_of
 from torchid.simulation.controller import Controller
 from torchid.simulation.open_loop import rollout
 
@@ -119,6 +119,20 @@ def test_a_batch_is_its_arms_one_by_one() -> None:
         assert log.samples == logs[k].samples
         assert float((log.q - alone.q).abs().max()) < 1e-12
         assert relative(_tau(log), _tau(alone)) < 1e-9
+
+
+def test_arms_with_equal_effects_are_one_and_move_apart() -> None:
+    """Recorded once; each has its own reference, and its own past."""
+    robot = bare("3r")
+    logs = [reference(robot, 0.2, speed=v) for v in (0.8, 0.4)]
+    own = [[effect(robot, "presliding_hysteresis", joint=1, Fh=0.3, length=0.02)] for _ in logs]
+    like = torch.zeros(2, 3, dtype=torch.float64)
+    assert plant_of(robot, own, like).alike
+    assert not plant_of(robot, [own[0], []], like).alike
+    for log, motion, one in zip(closed_loop(robot, logs, own), logs, own, strict=True):
+        (alone,) = closed_loop(robot, [motion], [one])
+        assert torch.equal(log.q, alone.q)
+        assert torch.equal(_tau(log), _tau(alone))
 
 
 def _body(mass: float) -> dict[str, float]:

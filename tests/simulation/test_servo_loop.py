@@ -21,12 +21,13 @@ from tests.simulation.bodies import flywheel
 from tests.trees import two_arms
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.effects.registry import nominal_effects
+from torchid.effects.servo import INDEX, NAMES, PARAMETERS
 from torchid.effects.spring import JointSpring, stumpff
 from torchid.robot.library import load_robot
 from torchid.robot.model import link_poses
 from torchid.simulation import servo_kernel
 from torchid.simulation.replay import replayed
-from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import (
     Tracks,
     Windows,

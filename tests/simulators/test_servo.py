@@ -10,9 +10,10 @@ import torch
 from tests.arms import arm
 from tests.marks import quick_first
 from tests.oracles import MujocoOracle
+from torchid.effects.servo import INDEX, NAMES
 from torchid.errors import TorchidError
 from torchid.simulation.replay import replayed
-from torchid.simulation.servo import INDEX, NAMES, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import PROFILE, Tracks, set_points, windows_of
 from torchid.simulators.servo import ServoTorque, SetPoints, drawn_servos
 

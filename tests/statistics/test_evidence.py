@@ -8,7 +8,42 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from torchid.statistics.criteria import DOUBT, EXPECTED
-from torchid.statistics.evidence import most_sure, price_of, probabilities_of, solved
+from torchid.statistics.evidence import (
+    beside,
+    in_slabs,
+    most_sure,
+    price_of,
+    probabilities_of,
+    solved,
+)
+
+
+def in_units(full: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Normal matrices of columns and gap (K + 1, N), in units of slabs of this root."""
+    full = np.concatenate([spread.T @ full[:-1], full[-1:]])
+    return (full @ full.T)[None]
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 1000), count=st.integers(1, 6))
+def test_coefficients_far_from_their_slabs_middle_cost_what_lies_between(
+    seed: int, count: int
+) -> None:
+    """The same as of a gap without the torque that is expected."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(count, 40)), rng.normal(size=40)
+    spread = np.diag(rng.uniform(0.1, 10.0, count))
+    centre = rng.normal(size=count)
+    samples, floor = np.array([40.0]), np.array([1e-3])
+    middle = in_slabs(spread, centre)
+    np.testing.assert_allclose(spread @ middle, centre)
+    z, losses, half = solved(in_units(np.concatenate([x, y[None]]), spread), samples, floor, middle)
+    rest = np.concatenate([x, (y - centre @ x)[None]])
+    other, less, same = solved(in_units(rest, spread), samples, floor)
+    # What is left first is of all the gap, or of what is not expected: the rounds begin apart.
+    np.testing.assert_allclose(losses, less, rtol=1e-3)
+    np.testing.assert_allclose(spread @ z, centre + spread @ other, atol=0.01)
+    assert half == pytest.approx(same, abs=0.1)
 
 
 @settings(deadline=None)  # a busy machine solves slowly
@@ -19,9 +54,9 @@ def test_coefficients_are_those_of_the_posterior(seed: int, count: int) -> None:
     x, y = rng.normal(size=(count, 40)), rng.normal(size=40)
     spread = np.tril(rng.normal(size=(count, count))) + 2 * np.eye(count)
     full = np.concatenate([x, y[None]])
-    g = (full @ full.T)[None]
     samples, floor = np.array([40.0]), np.array([1e9])  # the floor is the noise: it stays
-    found, losses, half = solved(g, spread, samples, floor)
+    z, losses, half = solved(in_units(full, spread), samples, floor)
+    found = spread @ z
     weight, precision = 40 / 1e9, np.linalg.inv(spread @ spread.T)
     normal = weight * x @ x.T
     right = np.linalg.solve(normal + precision, weight * x @ y)
@@ -77,11 +112,12 @@ def test_what_is_held_leaves_the_others_their_slab_beside_it(seed: int, known: i
     spread[:known] = 0.0
     held = np.array([True, True, True, False, False, False])
     full = np.concatenate([x, y[None]])
-    g = (full @ full.T)[None]
-    found, _, _ = solved(g, spread, np.array([1e9]), np.array([1e9]), held, np.zeros(6))
+    free = beside(spread, held)
+    z, _, _ = solved(in_units(full, spread), np.array([1e9]), np.array([1e9]), free=free)
+    found = spread @ z
     whole = spread @ spread.T
     own, across, others = whole[3:, 3:], whole[3:, known:3], whole[known:3, known:3]
-    beside = own - across @ np.linalg.solve(others, across.T)
-    ridge = np.linalg.solve(x[3:] @ x[3:].T + np.linalg.inv(beside), x[3:] @ y)
+    rest = own - across @ np.linalg.solve(others, across.T)
+    ridge = np.linalg.solve(x[3:] @ x[3:].T + np.linalg.inv(rest), x[3:] @ y)
     np.testing.assert_allclose(found[3:], ridge, rtol=1e-5, atol=1e-9)
-    np.testing.assert_array_equal(found[:3], 0.0)
+    np.testing.assert_allclose(found[:3], 0.0, atol=1e-12)

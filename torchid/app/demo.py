@@ -31,7 +31,9 @@ def demo_command(
     folder = output.out
     assert folder is not None  # it has a default
     output.begin()
+    output.staged[folder / "demo.json"] = None  # an earlier answer goes with its logs
     files = write_files(folder, seed)
+    output.finish()
     output.say(introduction(files))
     roles = [("robot", files.robot), *(("log", path) for path in files.logs)]
     roles.append(("held-out log", files.new))
@@ -40,7 +42,6 @@ def demo_command(
         demo = demonstrate(files, seed, progress)
     paged = Output(report=folder / "gap.html", quiet=True)
     paged.keep(demo.diagnosis, "gap.json", diagnosis.report_of_diagnosis, seed=seed, files=inputs)
-    output.staged.extend(paged.staged)
     output.put(folder / "gap.json", demo.diagnosis.save)
     output.put(folder / "identification.json", demo.identification.save)
     output.give(demo.plain(), "demo.json", lambda _: report_of_demo(demo))

@@ -13,7 +13,7 @@ from torchid.app.inputs import MODEL, require_free
 from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
-from torchid.files import require_name, staged
+from torchid.files import require_name
 from torchid.gap.settings import GapSettings
 from torchid.robot.config_files import names_robot
 
@@ -34,6 +34,7 @@ def export_command(
     chosen: Annotated[str | None, typer.Option("--set", metavar="ID")] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     force: Switch = False,
+    plain: Switch = False,
     geometry: opt.Group = None,
     log: opt.LogFiles = None,
     held_out: opt.LogFiles = None,
@@ -63,6 +64,7 @@ def export_command(
         chosen: Set of a file of several; the feasible one of least loss.
         name: Of the file, without suffix; the robot's name.
         force: Write infeasible parameters, too.
+        plain: Leave set points of servos, which are joints of an MJCF, out of it.
         log: Refit what is written to the torque of these logs, with bodies near to the robot's, and
             run it in its engine on them (urdf and mjcf, see `torchid correct`). May be given
             several times.
@@ -92,11 +94,10 @@ def export_command(
         given = None if robot is None else torchid.load_robot(robot, **part.choice.options)
         diagnosed = opt.load(result, part) if names_robot(result) else any_diagnosis(Path(result))
         ranges = torchid.randomise(diagnosed, randomise, robot=given, draws=draws, seed=seed)
-        with staged(output.staged):
-            files = [str(file) for file in ranges.write(folder, name)]
-        plain = {**ranges.plain(), "files": files}
+        files = [str(file) for file in ranges.write(folder, name)]
+        data = {**ranges.plain(), "files": files}
         told = exported.report_of_randomisation(ranges, files)
-        output.give(plain, "randomisation.json", lambda _: told, seed=seed)
+        output.give(data, "randomisation.json", lambda _: told, seed=seed)
         return
     assert to is not None
     found = carried(result, robot, part.choice, chosen, geometry)
@@ -111,6 +112,7 @@ def export_command(
         done = torchid.export_dynamics(
             found.dynamics, to, folder, name, nominal=found.nominal,
             original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
+            plain=plain,
         )  # fmt: skip
         output.give(done, f"export_{to}.json", exported.report_of_export, seed=seed)
         return
@@ -122,7 +124,7 @@ def export_command(
     apart = reading.read(held_out, found.original) if held_out else None
     made = torchid.correct(
         found.original, found.dynamics.arm or found.dynamics.robot, read, to, folder, name,
-        held_out=apart, settings=replace(found.settings, seed=seed), keep=keep,
+        held_out=apart, settings=replace(found.settings, seed=seed), keep=keep, plain=plain,
     )  # fmt: skip
     output.give(made, "correction.json", exported.report_of_correction)
 
@@ -134,6 +136,7 @@ def correct_command(
     to: Annotated[Simulated, typer.Option(metavar="FORMAT")],
     name: Annotated[str | None, typer.Option(metavar="NAME")] = None,
     with_effects: Switch = False,
+    plain: Switch = False,
     force: Switch = False,
     settings: Annotated[
         GapSettings, opt.GAP.only("effects background parameters held_out_fraction gain_std seed")
@@ -156,6 +159,7 @@ def correct_command(
         with_effects: Also write NAME_effects, fitted together with the effects that the format has
             no field for; they lie in its sidecar, and torchid.simulators.mujoco adds them at run
             time. For isaaclab and mjlab, an actuator class that does so, too.
+        plain: Leave set points of servos, which are joints of an MJCF, out of it.
         force: Correct by a log that looks wrong, too.
         effects: Effects to search over, comma-separated; `all` for the whole library.
     """
@@ -172,7 +176,7 @@ def correct_command(
         )
     done = torchid.correct(
         found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
-        with_effects=beside, keep=trials.inputs,
+        with_effects=beside, keep=trials.inputs, plain=plain or to in ("mjlab", "isaaclab"),
     )  # fmt: skip
     shown = output.keep(done, "correction.json", report_of_correction)
     output.tell(replace(shown, parts=[result.answer.headline, *shown.parts]))

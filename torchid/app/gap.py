@@ -206,6 +206,8 @@ def _pair(trials: BothLogs, settings: GapSettings, asked: _Asked, output: Output
         "--held-out": trials.held_out,
         "--to": asked.to,
         "--view": asked.view,
+        "--servo": asked.servo,
+        "--pictures": output.pictures,
         "--before": asked.before,
         "--time": asked.time,
     }

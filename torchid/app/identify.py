@@ -13,10 +13,10 @@ from torchid.app import options as opt
 from torchid.app.inputs import RECORDED
 from torchid.app.output import Computed, Reported
 from torchid.app.signature import Parsed, command
-from torchid.effects.names import require_effects
+from torchid.effects.names import DEFAULT_EFFECTS, require_effects
 from torchid.effects.written import name_and_pairs, split_list
 from torchid.errors import TorchidError
-from torchid.identification.settings import DEFAULT_EFFECTS, Settings
+from torchid.identification.settings import Settings
 
 
 def _effects(text: str) -> tuple[str, ...]:
@@ -95,7 +95,7 @@ def identify_command(
     )  # fmt: skip
     file = output.json_file or (output.out and output.out / "identification.json")
     if file is not None and str(file) != "-":
-        output.say(f"For a simulator: torchid export {file} --to urdf --out DIR")
+        output.say(f"For a simulator: torchid export {file} --to urdf --out exported")
 
 
 @dataclass(frozen=True, kw_only=True)

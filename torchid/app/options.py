@@ -14,9 +14,8 @@ import torchid
 from torchid.app.inputs import PLACE, RECORDED, ROBOT, WRITTEN, Suffix
 from torchid.app.output import Output
 from torchid.app.signature import Fields, Parsed, Switch
-from torchid.effects.names import require_effects
+from torchid.effects.names import DEFAULT_EFFECTS, require_effects
 from torchid.errors import TorchidError
-from torchid.identification.settings import DEFAULT_EFFECTS
 from torchid.robot.config_files import robot_file
 
 if TYPE_CHECKING:
@@ -392,7 +391,7 @@ class ArmAndLogs(Arm, Reading):
 
         every = torchid.Log.concatenate([log for log in logs if log is not None])
         with self.line_to_mend(files):
-            return ask_first(robot, every, force=force, loaded=loaded).said
+            return ask_first(robot, every, force=force, loaded=loaded).sentences
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import secrets
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -62,8 +62,8 @@ class Output:
         written: files, in the order in which they were written.
         answers: those of them that are the command's JSON.
         done: those of them that have their names.
-        staged: those of them that have not.
-        stale: files of an earlier run that go when these come.
+        staged: those of them that have not, and files of an earlier run that go when these come.
+        entered: what lasts as long as the command: all that it writes is staged.
         unsaid: why standard output took no more.
     """
 
@@ -85,8 +85,8 @@ class Output:
     written: list[Path] = field(default_factory=list, init=False)
     answers: set[Path] = field(default_factory=set, init=False)
     done: set[Path] = field(default_factory=set, init=False)
-    staged: Staged = field(default_factory=list, init=False)
-    stale: list[Path] = field(default_factory=list, init=False)
+    staged: Staged = field(default_factory=dict, init=False)
+    entered: ExitStack = field(default_factory=ExitStack, init=False)
     unsaid: list[OSError] = field(default_factory=list, init=False)
 
     def __enter__(self) -> "Output":
@@ -101,6 +101,7 @@ class Output:
             require_folder(self.out)
         level = logging.ERROR if self.silent else logging.WARNING
         logging.basicConfig(level=level, format="%(message)s")
+        self.entered.enter_context(staged(self.staged))
         return self
 
     def begin(self) -> None:
@@ -132,6 +133,7 @@ class Output:
         Raises:
             TorchidError: what was said could not be printed, or as `finish`.
         """
+        self.entered.close()
         if error is not None:
             discard(self.staged)
             remove_empty(self.__dict__.get("_made", ()))
@@ -155,38 +157,37 @@ class Output:
                 beside them; or a file cannot be renamed.
         """
         # The command's own JSON is the last.
-        files, stale = sorted(self.staged, key=lambda f: f[1] in self.answers), self.stale.copy()
+        files = {p: self.staged[p] for p in sorted(self.staged, key=self.answers.__contains__)}
         self.staged.clear()
-        self.stale.clear()
         named = {Path(os.path.realpath(p)) for p in (self.json_file, self.report) if p is not None}
         self._hash(files)
         taken = [
             target
-            for _, target in files
-            if not self.overwrite and target not in named
+            for target, temporary in files.items()
+            if temporary is not None and not self.overwrite and target not in named
             and target.exists() and target.stat().st_ctime > self.begun
             and target not in self.done
         ]  # fmt: skip
         if taken:
             place = Path(f"{taken[0].parent}-{secrets.token_hex(3)}")
             place.mkdir()
-            put_in_place([(temporary, place / target.name) for temporary, target in files])
+            put_in_place({place / target.name: temporary for target, temporary in files.items()})
             raise TorchidError(
                 "another run has put its results there meanwhile, and they are kept.",
                 got=", ".join(map(str, taken)),
                 hint=f"those of this run are in {place}",
             )
-        put_in_place(files, stale)
-        self.done.update(target for _, target in files)
+        put_in_place(files)
+        self.done.update(files)
 
     def _hash(self, files: Staged) -> None:
         """Into the command's JSON SHA-256 of each file beside it, by its name."""
-        others = [pair for pair in files if pair[1] not in self.answers]
-        hashes = {target.name: file_hash(temporary) for temporary, target in others}
-        for temporary, target in files if hashes else ():
-            if target in self.answers:
-                data = read_json(temporary, "the command's own")
-                write_json({**data, "hashes": hashes}, temporary)
+        new = {target: temporary for target, temporary in files.items() if temporary is not None}
+        hashes = {p.name: file_hash(new[p]) for p in new if p not in self.answers}
+        with staged(None):
+            for target in self.answers & new.keys() if hashes else ():
+                data = read_json(new[target], "the command's own")
+                write_json({**data, "hashes": hashes}, new[target])
 
     @property
     def silent(self) -> bool:
@@ -251,8 +252,7 @@ class Output:
         """Write a file, if it is asked for."""
         if path is not None:
             self.begin()
-            with staged(self.staged):
-                write(path)
+            write(path)
             self.written.append(path)
 
     def give(self, result: Any, name: str, show: "Callable[[Any], Report]", **about: Any) -> None:
@@ -296,7 +296,7 @@ class Output:
             # Of an earlier run, whose result this one takes the place of.
             names = [*old, *(f"{picture}.png" for picture in shown.figures)]
             if (self.out / name).exists():
-                self.stale.extend(file for one in names for file in self.out.glob(one))
+                self.staged.update((file, None) for one in names for file in self.out.glob(one))
             if self.pictures:
                 self._draw(shown.figures, self.out)
         if shown.page is not None:

@@ -72,29 +72,31 @@ def effects_command(
 @command
 def explain_command(
     *,
-    result: Annotated[Path, typer.Argument(metavar="RESULT")],
+    result: Annotated[Path, typer.Argument(metavar="[RESULT]")] = Path(),
     output: Annotated[Output, Fields("json_file", "report", "quiet")],
 ) -> None:
-    """Print a result again from its JSON: the answer, and the evidence for it. Of a folder: all
-    results below it.
+    """Print a result again from its JSON: the answer, and the evidence for it. Of a folder: the
+    result below it, or a list where there are several.
 
     Example: `torchid explain result/gap.json`
 
     Example: `torchid explain results --report index.html`
 
     Args:
-        result: JSON of any command, or a folder of them.
+        result: JSON of any command, or a folder of them; the present folder if absent.
         report: Of a folder: write an index of its results, links to them and their pages.
     """
     from torchid.report.explain import report_of_file
 
     if result.is_dir():
-        from torchid.report.page.index import report_of_folder, write_index
+        from torchid.report.page.index import entries, report_of_folder, write_index
 
-        listing = report_of_folder(result)
-        output.put(output.report, partial(write_index, result))
-        output.tell(listing)
-        return
+        found = entries(result)
+        if output.report is not None or len(found) > 1:
+            output.put(output.report, partial(write_index, result))
+            output.tell(report_of_folder(result, found))
+            return
+        result = found[0].file
     if output.report is not None:
         raise TorchidError(
             "--report writes an index of a folder.",

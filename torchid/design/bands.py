@@ -30,17 +30,6 @@ ATTENUATED = 0.01
 """Share of the torque's variance that may be noise of the positions, twice differentiated. Noise in
 a column shrinks its coefficient by its share: here by 1 %, which is no torque worth a name."""
 
-LOWEST = 2.0
-"""Cut-off below which little is left of a motion [Hz], whatever the positions' noise."""
-
-REVERSAL = 0.004
-"""Speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can raise it."""
-
-SAME_RATE = 0.02
-"""Relative difference of two sampling rates that count as one."""
-
-ENOUGH = 1_000_000
-"""Samples of a trajectory that tell the noise of its velocity."""
 
 DWELL = 0.2
 """Time below the reversal speed from which a joint counts as dwelling [s]."""
@@ -100,7 +89,8 @@ def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> 
     if log.tau is None or not bool((slides := slides & log.tau.any(0)).any()):
         return math.inf
     highest = (ATTENUATED * log.tau.double().var(0) / noise.square()) ** 0.2
-    return max(LOWEST, float(highest[slides].min()))
+    # 2.0: cut-off below which little is left of a motion [Hz], whatever the positions' noise
+    return max(2.0, float(highest[slides].min()))
 
 
 def bands(log: Log, cutoff: float | None, highest: float = math.inf) -> tuple[float, float]:
@@ -112,7 +102,8 @@ def bands(log: Log, cutoff: float | None, highest: float = math.inf) -> tuple[fl
     """
     rates = log.rates
     rate = min(rates)
-    if max(rates) > (1 + SAME_RATE) * rate:
+    # 0.02: relative difference of two sampling rates that count as one
+    if max(rates) > (1 + 0.02) * rate:
         listed = ", ".join(f"{n} {r:.4g} Hz" for n, r in zip(log.names, rates, strict=True))
         raise LogError(
             "the logs have different sampling rates.",
@@ -150,10 +141,13 @@ def reversal_speed(measured: list[Measurement]) -> Float[Tensor, " n"]:
     the velocity's noise, taken from its fastest changes, or 0.4 % of its 99 % speed."""
     speed = fast_speed(measured)
     # A long trajectory's beginning has as much noise as the rest.
-    begun = [m.motion.part(slice(0, ENOUGH)) for m in measured]
+    # 1_000_000: samples of a trajectory that tell the noise of its velocity
+    begun = [m.motion.part(slice(0, 1_000_000)) for m in measured]
     rough = torch.cat([motion.dq.diff(dim=0).diff(dim=0) for motion in begun])
     noise = robust_std(rough.T) / math.sqrt(6.0)
-    return torch.maximum(REVERSAL * speed, torch.minimum(4 * noise, 0.05 * speed))
+    # 0.004: speed at which a reversal counts, as a fraction of the joint's 99 % speed; noise can
+    # raise it
+    return torch.maximum(0.004 * speed, torch.minimum(4 * noise, 0.05 * speed))
 
 
 def report_band(samples: Samples, wanted: float) -> float:

@@ -33,13 +33,6 @@ STEPS, SETTLED = 20, 1e-10
 """Newton steps at most, of which six are the rule, and the change of a pseudo-inertia, relative to
 its largest entry, from which on there is no further one."""
 
-AHEAD = 10.0
-"""Step along the slope, of which the projection is the fixed point, in units of the largest second
-derivative: any has the same one; at a tenth and at ten times of it more steps are taken."""
-
-WIDTH = 0.03
-"""Radius that a link's mass is spread over at least, where a change of it is measured [m]."""
-
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
@@ -61,7 +54,7 @@ class Bodies:
     triangles: Float[Tensor, "B 10 10"]
 
     def shifted(self, by: int) -> "Bodies":
-        """The same of coefficients that stand so many places further."""
+        """These bodies where their coefficients stand so many places further."""
         return replace(self, at=self.at + by)
 
     def are(self, x: Float[Tensor, " K"]) -> bool:
@@ -240,7 +233,10 @@ def _by_newton(
     factor, failed = torch.linalg.cholesky_ex(torch.from_numpy(q))
     left = factor.diagonal(dim1=1, dim2=2).numpy() ** 2
     sure = (failed.numpy() == 0) & (left > DETERMINED * diagonal).all(1)
-    step = AHEAD / diagonal.max(1)[:, None]
+    # 10.0: step along the slope, of which the projection is the fixed point, in units of the
+    # largest second derivative: any has the same one; at a tenth and at ten times of it more steps
+    # are taken
+    step = 10.0 / diagonal.max(1)[:, None]
     moved = np.eye(size) - step[..., None] * q
     y, settled = np.zeros_like(c), np.zeros(len(c), dtype=bool)
     y[sure] = np.linalg.solve(q[sure], c[sure, :, None])[..., 0]
@@ -345,7 +341,7 @@ def some_body(usual: Float[Tensor, " 10"]) -> Bodies:
 
 
 def together(bodies: "list[Bodies]") -> Bodies | None:
-    """All of them; None of none."""
+    """Bodies of several parts as one; None where there are none."""
     if not bodies:
         return None
     names = ("at", "base", "least", "metric", "triangles")
@@ -362,7 +358,8 @@ def usual_bodies(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
     centimetres of the link's own mass wide."""
     mass, com = pi[:, 0].abs(), InertialParameters(pi).com
     small = torch.full_like(mass, _least_mass(pi))
-    wide = torch.maximum(mass, small) * WIDTH**2
+    # 0.03: radius that a link's mass is spread over at least, where a change of it is measured [m]
+    wide = torch.maximum(mass, small) * 0.03**2
     # A second moment of `wide` along each axis is an inertia of twice that about each.
     zero = torch.zeros_like(wide)
     inertia = torch.stack([2 * wide, zero, zero, 2 * wide, zero, 2 * wide], 1)

@@ -30,8 +30,6 @@ KEPT = 12_500_000
 """Values of columns that are kept for the next time (0.1 GB), the first that are evaluated: of a
 long log the others are evaluated again."""
 
-ROUNDING = 1e-11
-"""Size of a signal, relative to the largest of its effect, that is rounding."""
 
 SMOOTHED = ("q", "dq", "ddq", "torque")
 
@@ -53,7 +51,7 @@ class Model:
 
     @property
     def bodies(self) -> list[Valued]:
-        """Those of the effects that are bodies."""
+        """The model's effects that are bodies, with their coefficients."""
         return [p for p in self.effects if p[0].inertial]
 
     @cached_property
@@ -186,8 +184,10 @@ class Columns:
         """Columns on the joint that alone feels them, or on all."""
         peak = columns.abs().amax(2)
         # What only rounding has put there would be given any coefficient.
-        columns = columns * (peak > ROUNDING * peak.max()).unsqueeze(2)
-        felt = (peak.amax(0) > ROUNDING * peak.max()).nonzero().flatten().tolist()
+        # Size of a signal, relative to the largest of its effect, that is rounding
+        rounding = 1e-11
+        columns = columns * (peak > rounding * peak.max()).unsqueeze(2)
+        felt = (peak.amax(0) > rounding * peak.max()).nonzero().flatten().tolist()
         return (felt[0], columns[:, felt[0]].clone()) if len(felt) == 1 else (None, columns)
 
     def on_all_joints(self, effect: Effect) -> Float[Tensor, "C n N"]:
@@ -304,7 +304,7 @@ class Columns:
 
 
 def only(motion: Motion, joint: int) -> Motion:
-    """Motion of one joint."""
+    """The motion of one joint alone, as that of an arm with one."""
     own = slice(joint, joint + 1)
     signals: Iterable[Tensor | None] = (
         x if x is None or name == "t" else x[..., own]

@@ -20,7 +20,7 @@ from torchid.typing import Float, Tensor
 
 @dataclass(frozen=True)
 class Compliance:
-    """Of one joint.
+    """Compliance of one joint, as encoders of motor and link tell it.
 
     Attributes:
         value, std: [rad/(N m); m/N], the noise as slow as what is left.
@@ -37,7 +37,7 @@ class Compliance:
     """It is no torque, which could be too small."""
 
     @property
-    def said(self) -> str:
+    def sentence(self) -> str:
         """What it says of the compliance, as a sentence."""
         return (
             f"the encoders of motor and link tell {self.value:.3g} ± {self.std:.2g}, which lowers "

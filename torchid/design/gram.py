@@ -60,7 +60,7 @@ def inverse_root(
 
 
 def _root_of_one(matrix: np.ndarray, least: float, known: np.ndarray | None) -> np.ndarray:
-    """The same of one matrix (K, K), by LAPACK itself: of a small one torch's calls would take
+    """Root of one matrix (K, K), by LAPACK itself: of a small one torch's calls would take
     longer than the work."""
     diagonal = matrix.diagonal()
     there = diagonal > 0

@@ -18,18 +18,6 @@ from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
 from torchid.typing import Bool, Float, Int, Tensor
 
-FEWEST = 3
-"""Equal values in a run; two in a row cannot be told from chance."""
-
-JUMP = 3.0
-"""Quanta by which the value after a hold must differ."""
-
-CHANCE = 1e-3
-"""Expected number of runs as long as this by chance, in a joint's whole trajectory."""
-
-_QUANTUM = 0.01  # quantile of non-zero steps: one quantum, or next to nothing without a quantiser
-_NEIGHBOURS = 100  # pairs on either side in which equal ones are counted
-
 
 def held_ages(log: Log) -> Float[Tensor, "T n"]:
     """By how much each torque is older than its stamp (T, n) [s]: 0 where it is not held.
@@ -105,21 +93,25 @@ def _held(
     starts: Int[Tensor, " R"],
     lengths: Int[Tensor, " R"],
 ) -> Bool[Tensor, " R"]:
-    """Which runs are holds."""
+    """Which runs of equal values a logger held, and did not measure."""
     if len(starts) < 3:
         return torch.zeros_like(starts, dtype=torch.bool)
     values = tau[starts]
     steps = values.diff().abs()
-    quantum = torch.quantile(steps[:: max(1, len(steps) // 100_000)], _QUANTUM)
+    # 0.01: quantile of non-zero steps: one quantum, or next to nothing without a quantiser
+    quantum = torch.quantile(steps[:: max(1, len(steps) // 100_000)], 0.01)
     # The last run has no end.
-    jumps = torch.nn.functional.pad(steps > JUMP * quantum, (0, 1), value=False)
+    # 3.0: quanta by which the value after a hold must differ
+    jumps = torch.nn.functional.pad(steps > 3.0 * quantum, (0, 1), value=False)
     extreme = (values == tau.max()) | (values == tau.min())
     total = torch.nn.functional.pad(moves.cumsum(0), (1, 0))
     moving = 2 * (total[starts + lengths] - total[starts]) > lengths
-    candidate = (lengths >= FEWEST) & jumps & ~extreme & moving
+    # 3: equal values in a run; two in a row cannot be told from chance
+    candidate = (lengths >= 3) & jumps & ~extreme & moving
     probability = _equal_by_chance(tau, starts, lengths, candidate)
     expected = len(tau) * probability ** (lengths - 1)
-    return candidate & (expected < CHANCE)
+    # 1e-3: expected number of runs as long as this by chance, in a joint's whole trajectory
+    return candidate & (expected < 1e-3)
 
 
 def _equal_by_chance(
@@ -135,7 +127,9 @@ def _equal_by_chance(
     equal = (tau.diff() == 0) & usual
     whole = (equal.sum() + 1) / (usual.sum() + 2)
     sums = [torch.nn.functional.pad(x.cumsum(0), (1, 0)) for x in (equal, usual)]
-    low = (starts - _NEIGHBOURS).clamp(min=0)
-    high = (starts + lengths + _NEIGHBOURS).clamp(max=len(tau) - 1)
+    # pairs on either side in which equal ones are counted
+    neighbours = 100
+    low = (starts - neighbours).clamp(min=0)
+    high = (starts + lengths + neighbours).clamp(max=len(tau) - 1)
     near = (sums[0][high] - sums[0][low]) / (sums[1][high] - sums[1][low]).clamp(min=1)
     return torch.maximum(near.to(tau), whole.to(tau))

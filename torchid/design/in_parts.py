@@ -26,8 +26,6 @@ WIDE = 5.0
 """The direction of motion is taken from velocity filtered at this multiple of the cut-off, so that
 a reversal stays sharp until the common filter smooths it like the torque."""
 
-ROUNDED = 1e-9
-"""Share of a joint's largest speed below which it is rounding."""
 
 _REACH = 4
 """Samples on both sides that two central differences see."""
@@ -63,7 +61,7 @@ class MotionInParts:
         return self.undirected(rows)._replace(direction=sign, t=t, torque=torque)
 
     def undirected(self, rows: slice) -> Motion:
-        """The same without direction, t and torque; a direction takes going through all of it."""
+        """The motion without direction, t and torque; a direction takes going through all of it."""
         wanted = range(self.log.samples)[rows]
         size = self._length
         found = []
@@ -76,7 +74,7 @@ class MotionInParts:
         return found[0] if len(found) == 1 else _joined(found, self._filtered(0))
 
     def whole(self) -> Motion:
-        """All of it, filtered at once."""
+        """The whole motion, filtered at once."""
         samples = self.log.samples
         return self._made_of(0, samples)._replace(
             direction=self._direction(samples), t=self.t, torque=self.torque
@@ -87,7 +85,7 @@ class MotionInParts:
         return self.part(slice(None, None, step))
 
     def require(self, what: str, effect: str) -> Tensor:
-        """As of `Motion`."""
+        """A signal that must be there, as of `Motion`."""
         value: Tensor | None = getattr(self, what)
         if value is None:
             raise ValueError(f"{effect} needs the motion's {what}.")
@@ -211,7 +209,8 @@ def held_sign(dq: Float[Tensor, " T"], threshold: Tensor) -> Int[Tensor, " T"]:
     index = torch.arange(len(dq), device=dq.device)
     speed = dq.abs()
     # At exact rest rounding has a sign too, another one in another file of the same log.
-    least = torch.maximum(threshold, ROUNDED * speed.max())
+    # 1e-9: share of a joint's largest speed below which it is rounding
+    least = torch.maximum(threshold, 1e-9 * speed.max())
     last = torch.cummax(torch.where(speed > least, index, -1), 0).values
     sign = torch.sign(dq).to(torch.int8)[last.clamp(min=0)]
     return torch.where(last >= 0, sign, torch.zeros_like(sign))

@@ -11,7 +11,7 @@ from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
 from torchid.log.assemble import OTHER_NAMES
 from torchid.log.columns import column_names
-from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.filtering import central_difference, lateness
 from torchid.log.model import Log
 from torchid.statistics.robust import white_variance
 from torchid.typing import Bool, Float, Int, Tensor
@@ -32,9 +32,6 @@ _SLOW = 0.1
 rest."""
 
 _LOOK_S, _ENOUGH_STEPS = 0.1, 20_000
-_NOISE = 3900.0
-"""Velocities that noise of positions makes in the widest band, 40 Hz, three times: of white noise s
-at a rate r it is 3 s sqrt(2 (2 pi)^2 40^3 / (3 r)), about this times s / sqrt(r) [Hz^1.5]."""
 
 LONG = 20_000_000
 """Values of a signal, samples times joints, from which on a log is filtered a part at a time."""
@@ -42,11 +39,7 @@ LONG = 20_000_000
 ENOUGH = 2_000_000
 """Samples of a trajectory that tell whether its velocities and accelerations can be used."""
 
-FEWEST = 10
-"""Samples that a trajectory must have left when the filter's edges are cut."""
 
-_AGREE = 0.02
-_VELOCITY_AGREES = 0.15
 _LAG_WORTH_SAYING = 2e-3
 
 
@@ -84,7 +77,7 @@ class Measurement:
 
     @property
     def whole(self) -> Motion:
-        """All of the motion, in memory."""
+        """The whole motion, in memory."""
         return self.motion.part(slice(None))
 
     @property
@@ -169,7 +162,8 @@ def _edge(rate: float, cutoff: float | None) -> int:
 
 def _needed(rate: float, cutoff: float | None) -> int:
     """Samples a trajectory must have."""
-    return 2 * _edge(rate, cutoff) + FEWEST
+    # 10: samples that a trajectory must have left when the filter's edges are cut
+    return 2 * _edge(rate, cutoff) + 10
 
 
 def _too_short(log: Log, rate: float, cutoff: float | None) -> LogError:
@@ -192,7 +186,10 @@ def moving_speed(log: Log) -> Float[Tensor, " n"]:
         noise = torch.maximum(noise, white_variance([log.q[rows][:_ENOUGH_STEPS]]).cpu() / rate)
     all_speeds = torch.cat(speeds).double().cpu()
     fastest = float(all_speeds.quantile(0.99, 0).max()) if len(all_speeds) else MOVING / _SLOW
-    return (_NOISE * noise.sqrt()).clamp(min=_SLOW * fastest).clamp(max=MOVING)
+    # 3900.0: velocities that noise of positions makes in the widest band, 40 Hz, three times: of
+    # white noise s at a rate r it is 3 s sqrt(2 (2 pi)^2 40^3 / (3 r)), about this times s /
+    # sqrt(r) [Hz^1.5]
+    return (3900.0 * noise.sqrt()).clamp(min=_SLOW * fastest).clamp(max=MOVING)
 
 
 def resting_speed(
@@ -264,7 +261,8 @@ def _measured(log: Log, rate: float, cutoff: float | None) -> tuple[bool, bool, 
     own_velocity = log.dq is not None
     if log.dq is not None:
         lag, difference = velocity_lag(log.q, log.dq, rate, cutoff)
-        if difference > _VELOCITY_AGREES:
+        # 0.15: relative difference from the derivative of q from which on that is used
+        if difference > 0.15:
             warnings.append(
                 f"{log.names[0]}: measured dq differs from the derivative of q by "
                 f"{100 * difference:.0f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
@@ -281,12 +279,13 @@ def _measured(log: Log, rate: float, cutoff: float | None) -> tuple[bool, bool, 
     once = (x if own_velocity else central_difference(x, rate) for x in columns)
     references = (central_difference(x, rate) for x in once)
     lag, difference = _lag(zip(references, log.ddq[:ENOUGH].T, strict=True), rate, cutoff)
-    if difference >= _AGREE:
+    agree = 0.02
+    if difference >= agree:
         warnings.append(
             f"{log.names[0]}: the log's ddq differs from the derivative of dq by "
             f"{100 * difference:.1f} % (lag {lag * 1e3:.0f} ms), so the derivative is used"
         )
-    return own_velocity, difference < _AGREE, warnings
+    return own_velocity, difference < agree, warnings
 
 
 def velocity_lag(
@@ -303,21 +302,10 @@ def _lag(
 ) -> tuple[float, float]:
     """Median lag [s] of signals behind their references, a pair a joint, and their relative
     difference, the largest over joints (relative to 1 % of the fastest joint's reference, at
-    least).
-
-    reference(t) = signal(t + lag) to first order; both low-passed, edges left out.
-    """
-    low_pass = ZeroPhaseFilter(rate, min(cutoff, 0.4 * rate))
-    sums = []
-    for reference, signal in pairs:
-        edge = min(round(rate / cutoff), len(reference) // 4)
-        middle = slice(edge, len(reference) - edge)
-        a, b = low_pass.apply(reference), low_pass.apply(signal)
-        slope = central_difference(b, rate)[middle]
-        gap = (a - b)[middle]
-        sums.append(torch.stack([a[middle].norm(), gap.norm(), slope @ slope, gap @ slope]))
-    size, apart, energy, along = torch.stack(sums, -1)
-    difference = apart / size.clamp(min=max(1e-300, 0.01 * float(size.max())))
+    least)."""
+    sums = [lateness(*pair, rate, min(cutoff, 0.4 * rate)) for pair in pairs]
+    along, energy, size, apart = torch.stack(sums, -1)
+    difference = apart.sqrt() / size.sqrt().clamp(min=max(1e-300, 0.01 * float(size.max()) ** 0.5))
     active = energy > 1e-6 * energy.max()
     if not bool(active.any()):
         return 0.0, float(difference.max())

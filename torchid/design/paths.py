@@ -21,9 +21,6 @@ liveliest one's a tenth at least): about 3 % of its range, more than an arm lags
 LONGEST = 5_000
 """Postures of a motion beyond which it is not compared."""
 
-BACK = 10
-"""Motions before one that it is compared with."""
-
 
 @dataclass(frozen=True)
 class SamePath:
@@ -43,7 +40,8 @@ def same_paths(segments: Sequence[Segment]) -> list[SamePath]:
     found = []
     ends = [torch.stack([*s.motion.q[:].aminmax(dim=0)]) for s in segments]
     for b, two in enumerate(segments):
-        for a in range(max(0, b - BACK), b):
+        # 10: motions before one that it is compared with
+        for a in range(max(0, b - 10), b):
             one = segments[a]
             spread = spread_of(one.motion.q)
             if bool(((ends[a] - ends[b]).abs() > 2 * APART * spread).any()):

@@ -38,13 +38,7 @@ MOVES = 0.3
 at every lag, and say nothing about a moving arm."""
 
 _COARSE = 25.0  # rate at which lags are searched [Hz]; an arm's positions lie below 5 Hz
-_CANDIDATES = 6  # lags to look at, of the deepest minima, and as many of those that overlap longest
-_DEEP = 0.1  # mean squared difference, in variances of q; 2 where there is nothing in common
 _FINE = 50.0  # rate at which agreement is judged [Hz]
-_WINDOW = 1.0  # over which agreement is judged [s]
-_MARGIN = 0.25  # shifted by a fraction of a sample, the ends of a signal are off [s]
-_REFINEMENTS = 3
-_BAND = 10.0  # in which motions of a log as it is are compared [Hz]
 
 
 @dataclass(frozen=True)
@@ -219,10 +213,13 @@ def _lags(one: Segment, two: Segment, *, same: bool) -> list[int]:
     wall = difference.new_full((1,), torch.inf)
     around = torch.cat([wall, difference, wall])
     lowest = torch.nonzero((difference <= around[:-2]) & (difference <= around[2:])).flatten()
-    deepest = lowest[difference[lowest].argsort()][:_CANDIDATES]
+    # lags to look at, of the deepest minima, and as many of those that overlap longest
+    candidates = 6
+    deepest = lowest[difference[lowest].argsort()][:candidates]
     # All multiples of a period are as deep as the period itself: those that overlap longest too.
-    deep = lowest[difference[lowest] < _DEEP]
-    longest = deep[lags[deep].abs().argsort()][:_CANDIDATES]
+    # 0.1: mean squared difference, in variances of q; 2 where there is nothing in common
+    deep = lowest[difference[lowest] < 0.1]
+    longest = deep[lags[deep].abs().argsort()][:candidates]
     found = {int(x) * step for x in lags[torch.cat([deepest, longest])]} | (set() if same else {0})
     return sorted(found, key=lambda lag: -_overlap(one, two, lag))
 
@@ -258,7 +255,8 @@ def _stretches(a: int, one: Segment, b: int, two: Segment, lag: int) -> list[Pai
     # Most lags are none: whole samples and loose tolerances tell so at the least cost.
     if not _agreeing(a, one, b, two, total, looser=10.0):
         return []
-    for _ in range(_REFINEMENTS):
+    # 3: refinements, each of which leaves a small part of the last one's error
+    for _ in range(3):
         pairs = _agreeing(a, one, b, two, total)
         if not pairs:
             # The coarse lag is off by up to half a coarse step: refine on what moves alike at all.
@@ -292,7 +290,8 @@ def _agreeing(
         agrees &= (_local_mean(gap.square().T, one.rate / step) < limit).all(0)
         if not bool(agrees.any()):
             return []
-    shortest, margin = round(SHORTEST * one.rate), round(_MARGIN * one.rate)
+    # 0.25: shifted by a fraction of a sample, the ends of a signal are off [s]
+    shortest, margin = round(SHORTEST * one.rate), round(0.25 * one.rate)
     out = []
     for first, last in _runs(agrees):
         # Next to a trajectory's ends, odd reflection stands in for what a shift would need.
@@ -336,7 +335,8 @@ def _correction(one: Segment, two: Segment, pairs: Sequence[Pair]) -> float:
 
 def _local_mean(x: Signals, rate: float) -> Signals:
     """Mean over a second around each sample, over what there is of it at the ends."""
-    half = max(1, round(_WINDOW * rate / 2))
+    # 1.0: over which agreement is judged [s]
+    half = max(1, round(1.0 * rate / 2))
     total = torch.nn.functional.pad(x.cumsum(-1), (1, 0))
     index = torch.arange(x.shape[-1])
     low, high = (index - half).clamp(min=0), (index + half + 1).clamp(max=x.shape[-1])
@@ -382,7 +382,8 @@ def repeated_motion(log: Log) -> tuple[Repeat, ...]:
     still = torch.zeros_like(log.q)
     try:
         even = resample(log.replace(tau=still))
-        band = min(_BAND, 0.2 * min(even.rates))
+        # 10.0: in which motions of a log as it is are compared [Hz]
+        band = min(10.0, 0.2 * min(even.rates))
         segments = segments_of(measurements(even, band), band)
     except LogError:
         return ()

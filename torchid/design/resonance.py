@@ -29,18 +29,6 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.statistics.spectrum import density
 from torchid.typing import Bool, Float, Tensor
 
-TOP = 0.8
-"""Edge of what is compared, as a share of the segments' band."""
-
-NOISE = 0.6
-"""Share of that from which the model's torque is taken to be noise of the positions."""
-
-LOWEST = 0.6
-"""Lowest resonance that is tried, in units of the fit's cut-off."""
-
-PER_OCTAVE = 4
-"""Frequencies that are tried."""
-
 RATIOS = (0.03, 0.1)
 """Dampings of what swings, relative to the critical one."""
 
@@ -53,9 +41,6 @@ LATE = np.geomspace(0.002, 0.06, 9).tolist()
 LONGEST = 8_000
 """Instants that are looked at: half a minute of motion holds hundreds of swings."""
 
-INERTIA = 0.1
-"""Relative error of the inertia that swings, and so of the compliance: a resonance is the product
-of both."""
 
 Signals = list[Float[Tensor, "B _"]]
 """Of every segment."""
@@ -85,7 +70,7 @@ class Swing:
     size: float
 
     @property
-    def said(self) -> str:
+    def sentence(self) -> str:
         """What it says of the compliance, as a sentence."""
         return (
             f"the link swings at {self.hertz:.2g} Hz before a held motor, which tells "
@@ -119,8 +104,10 @@ def _strongest(
 ) -> tuple[int, Pair, float] | None:
     """The joint whose swing explains most, and the relative standard deviation of its compliance;
     None where something else explains nearly as much."""
-    low, high = LOWEST * spectra.samples.cutoff, spectra.top
-    count = 1 + math.ceil(PER_OCTAVE * math.log2(high / low))
+    # 0.6: lowest resonance that is tried, in units of the fit's cut-off
+    low, high = 0.6 * spectra.samples.cutoff, spectra.top
+    # 4: frequencies that are tried
+    count = 1 + math.ceil(4 * math.log2(high / low))
     grid = list(itertools.product(np.geomspace(low, high, count).tolist(), RATIOS + SLUGGISH))
     # The best swing of every joint, and the best of all that is none.
     others = [0.0, *spectra.late()]
@@ -164,7 +151,8 @@ class _Spectra:
     def __init__(self, columns: Columns, keep: Bool[Tensor, "n N"]):
         self.samples, self.robot, self.n = columns.samples, columns.model.robot, columns.n
         every = self.samples.segments
-        self.top = TOP * every[0].band
+        # 0.8: edge of what is compared, as a share of the segments' band
+        self.top = 0.8 * every[0].band
         # The first instants, in whole segments but for a long one; and their samples.
         ends = list(itertools.accumulate(s.length for s in every))
         some = max(1, sum(1 for end in ends if end <= LONGEST))
@@ -247,7 +235,7 @@ class _Spectra:
         return torch.stack([j.gain(x) for j, x in found]).sum(0).tolist()
 
     def late(self) -> list[float]:
-        """The same by torques that are late, each joint's for itself, or all alike."""
+        """Gains of torques that are late, each joint's for itself, or all alike."""
         gains = torch.stack([j.gain(j.late) for j in self.joints])
         return [*gains.flatten().tolist(), *gains.sum(0).tolist()]
 
@@ -264,7 +252,9 @@ class _Spectra:
             was, now, whole = (float(p[0, self.above].sum()) for p in (before, j.squares, j.torque))
             if 0 < now < was and whole > 0:
                 most = max(most, (1 - math.sqrt(now / was), math.sqrt((was - now) / whole)))
-        std = compliance * math.hypot(std, INERTIA)
+        # 0.1: relative error of the inertia that swings, and so of the compliance: a resonance is
+        # the product of both
+        std = compliance * math.hypot(std, 0.1)
         return Swing(compliance, std, float(gear.damping[0]), pair[0], *most)
 
 
@@ -364,7 +354,8 @@ def wiener(
     frequency = parts[0][0]
     lengths = np.array([len(x) for x in signals])
     power = np.average([p[:, 0] for _, p in parts], axis=0, weights=lengths)
-    end = (frequency > NOISE * top) & (frequency < top)
+    # 0.6: share of that from which the model's torque is taken to be noise of the positions
+    end = (frequency > 0.6 * top) & (frequency < top)
     level = np.median(power[end] / frequency[end] ** 4)
     share = np.clip(1 - level * frequency**4 / np.maximum(power, 1e-300), 0, 1)
     share = np.convolve(np.pad(share, 2, mode="edge"), np.full(5, 0.2), "valid")

@@ -19,12 +19,6 @@ from torchid.effects.base import Motion
 from torchid.log.filtering import ZeroPhaseFilter, extended, low_pass
 from torchid.typing import Bool, Float, Signals, Tensor
 
-GRID = 6.0
-"""Samples of a segment a period of the wide band's edge, at least where the log has as many."""
-
-DENSITY = 2.5
-"""Decimated samples a period of the cut-off: the filter leaves next to nothing above it."""
-
 EDGE = 3.0
 """Length that is left out at both ends of a segment, in periods of the cut-off: beyond them the
 filter sees a reflection, and most trajectories begin and end at rest, where friction can be
@@ -33,12 +27,6 @@ anything."""
 REACH = 0.75
 """How far the filter carries what happens at a reversal, in periods of the cut-off."""
 
-MISTIMED = 0.125
-"""How long the direction of dry friction is wrong at a reversal, in periods of the cut-off: it is
-known as well as the velocity, and a joint that turns may stick."""
-
-STOP = 0.1
-"""Time at less than half the resting speed that makes a dwell [s]."""
 
 NEVER = 1e-3
 """A joint that travels less than this never moves [rad or m]."""
@@ -96,7 +84,9 @@ def segments_of(measured: Sequence[Measurement], band: float, clock: float = 0.0
     """
     out = []
     for m in timed(measured, clock=clock):
-        step = max(1, int(m.rate / (GRID * band)))
+        # 6.0: samples of a segment a period of the wide band's edge, at least where the log has as
+        # many
+        step = max(1, int(m.rate / (6.0 * band)))
         tau = m.tau
         if step > 1:
             tau = ZeroPhaseFilter(m.rate, min(1.5 * band, 0.4 * m.rate / step)).apply(tau.T).T
@@ -128,7 +118,8 @@ class Samples:
         self.rate = rates.pop()
         self.cutoff = cutoff
         self.segments = tuple(segments)
-        self.step = max(1, int(self.rate / (DENSITY * cutoff)))
+        # 2.5: decimated samples a period of the cut-off: the filter leaves next to nothing above it
+        self.step = max(1, int(self.rate / (2.5 * cutoff)))
         if self.step > 2:
             self.step -= self.step % 2
         self._filter = low_pass(self.rate, cutoff)
@@ -202,7 +193,9 @@ def reach_of(samples: Samples, dry: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         dry: (n,) dry friction relative to the noise.
     """
     period = samples.rate / samples.cutoff
-    half = round(0.5 * MISTIMED * period)
+    # 0.125: how long the direction of dry friction is wrong at a reversal, in periods of the
+    # cut-off: it is known as well as the velocity, and a joint that turns may stick
+    half = round(0.5 * 0.125 * period)
     pulse = torch.zeros(2 * round(8 * period) + 1, 1, dtype=torch.float64)
     middle = len(pulse) // 2
     pulse[middle - half : middle + half + 1] = 2.0
@@ -226,7 +219,8 @@ def moving_instants(
     turns = torch.zeros_like(sign)
     turns[1:] = (sign[1:] != sign[:-1]).to(sign)
     slow = (dq.abs() < 0.5 * resting).to(sign)
-    dwells = 1 - widened(1 - slow, 0.5 * STOP * segment.rate)
+    # 0.1: time at less than half the resting speed that makes a dwell [s]
+    dwells = 1 - widened(1 - slow, 0.5 * 0.1 * segment.rate)
     for j, own in enumerate(torch.as_tensor(reach).expand(segment.n).tolist()):
         column = slice(j, j + 1)
         near = widened(turns[:, column], own * segment.rate)

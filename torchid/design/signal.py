@@ -16,21 +16,9 @@ from torchid.log.model import Log
 from torchid.statistics.robust import robust_std
 from torchid.typing import Bool, Float, Int, Tensor
 
-EXCITED = 1e-4
-"""Eigenvalue of the products of columns of length one, relative to the largest, below which a
-direction is not fitted: hardly excited, it would predict little and be wrong about it."""
-
-OUTSIDE = 4.0
-"""Robust standard deviations beyond which a torque, or what a fit leaves of it, is not a usual one:
-of a normal variable one in sixteen thousand."""
-
 DRIVE_GAIN = 0.05
 """How well torque constants times gear ratios are known [1]: two published sets of one arm differ
 by 3 to 33 %, makers promise a few per cent."""
-
-SENSOR_GAIN = 0.01
-"""How well the scale of a measured torque is known [1]: makers of joint torque sensors promise half
-a per cent to one, and a model whose shape is right leaves as much."""
 
 
 def without_signal(
@@ -52,17 +40,20 @@ def without_signal(
         parts: (N,) stretch of every sample, from 1; 0 of those between stretches.
     """
     out = []
+    # Eigenvalue of the products of columns of length one, relative to the largest, below which a
+    # direction is not fitted: hardly excited, it would predict little and be wrong about it
+    excited = 1e-4
     for joint, (y, error) in enumerate(zip(torque, gap, strict=True)):
         a = columns.laws(joint)
         # A push is no law: what is far off what fits the usual torques takes no part.
         telling = keep[joint] & ~_far(y - y.median(), keep[joint])
-        telling &= ~_far(y - least_squares(a[:, telling], y[telling], EXCITED) @ a, telling)
+        telling &= ~_far(y - least_squares(a[:, telling], y[telling], excited) @ a, telling)
         # What the body, the model and the mean leave of each stretch; and of all together.
         rows = []
         for part in range(1, int(parts.max()) + 1):
             fitted, judged = telling & (parts > 0) & (parts != part), telling & (parts == part)
             if fitted.any() and judged.any():
-                body = y[judged] - least_squares(a[:, fitted], y[fitted], EXCITED) @ a[:, judged]
+                body = y[judged] - least_squares(a[:, fitted], y[fitted], excited) @ a[:, judged]
                 given = error[judged] - error[fitted].mean()
                 usual = y[judged] - y[fitted].mean()
                 rows.append([float(x.square().sum()) for x in (body, given, usual)])
@@ -79,7 +70,9 @@ def _far(x: Float[Tensor, " N"], keep: Bool[Tensor, " N"]) -> Bool[Tensor, " N"]
     """Which of the samples that count are outside of what is usual."""
     if not keep.any():
         return torch.zeros_like(keep)
-    return x.abs() > OUTSIDE * robust_std(x[keep].unsqueeze(0)).nan_to_num(nan=math.inf)
+    # 4.0: robust standard deviations beyond which a torque, or what a fit leaves of it, is not a
+    # usual one: of a normal variable one in sixteen thousand
+    return x.abs() > 4.0 * robust_std(x[keep].unsqueeze(0)).nan_to_num(nan=math.inf)
 
 
 def from_current(log: Log) -> bool:

@@ -53,7 +53,7 @@ TEXTS: dict[str, dict[str, Any]] = parsed_yaml(_TEXTS.read_text(encoding="utf-8"
 """What there is to say, by check."""
 
 
-def said(
+def worded_check(
     name: str,
     verdict: str,
     /,

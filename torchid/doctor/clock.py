@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from torchid.doctor.case import Case
-from torchid.doctor.check import Check, said
+from torchid.doctor.check import Check, worded_check
 from torchid.doctor.repair import (
     Bridge,
     DropRows,
@@ -25,21 +25,8 @@ from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_ste
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Bool, Tensor
 
-HELD = 0.1
-"""Share of the moving rows that may repeat the one before; fewer are lost in any filter."""
-DROPPED = 0.01
-"""Share of the samples that may be missing in gaps."""
-USUAL_STEPS = 3.0
-"""A step of the clock across which no joint moves further than this many usual steps is a jump of
-the clock, not a gap in the log."""
-COARSE = 0.02
-"""Share of the stamps that repeat from which on they are coarser than the sampling."""
-SMOOTHER = 3.0
-"""Stamps are taken for wrong when positions are this many times smoother over even ones."""
 LONG = 2.0
 """Medians that the longest usual steps may last."""
-UNEVEN = 0.1
-"""Steps that spread by less than this share of the median are even."""
 
 
 def check_values(case: Case) -> Check:
@@ -64,8 +51,8 @@ def check_values(case: Case) -> Check:
         counts += [f"{int(wrong.sum())} in {name}"] if bool(wrong.any()) else []
     rows = bad.nonzero().flatten().tolist()
     if not rows:
-        return said("values", "fine")
-    check = said(
+        return worded_check("values", "fine")
+    check = worded_check(
         "values", "wrong", estimate=len(rows) / log.samples, rows=len(rows), samples=log.samples,
         found=", ".join(counts) or "in t",
     )  # fmt: skip
@@ -85,27 +72,30 @@ def check_clock(case: Case) -> Check:
     log = case.log
     faults: tuple[list[int], ...] = ([], [], [], [])
     repeated, back, runs, jumped = faults
+    # A step of the clock across which no joint moves further than this many usual steps is a jump
+    # of the clock, not a gap in the log
+    usual_steps = 3.0
     for rows in log.slices():
         q, step = log.q[rows].numpy(), np.diff(log.t[rows].numpy())
         if not (step > 0).any():
-            return said("clock", "wrong never")
+            return worded_check("clock", "wrong never")
         # Steps back across which some joint goes further than in its usual steps: a new run.
         behind = np.flatnonzero(step < 0)
         moved, usual = _steps(q, behind)
-        new = (moved > USUAL_STEPS * usual + 1e-3 * np.ptp(q, 0).max()).any(1)
+        new = (moved > usual_steps * usual + 1e-3 * np.ptp(q, 0).max()).any(1)
         # Long steps of the clock across which the positions make a usual step only.
         long = np.flatnonzero(step > LONG_GAP_STEPS * np.median(step[step > 0]))
         moved, usual = _steps(q, long)
         moving = usual > 1e-3 * np.ptp(q, 0).max() / len(q)
-        stood = moving.any(1) & ~((moved > USUAL_STEPS * usual) & moving).any(1)
+        stood = moving.any(1) & ~((moved > usual_steps * usual) & moving).any(1)
         places = np.flatnonzero(step == 0), behind[~new], behind[new], long[stood]
         for steps, own in zip(faults, places, strict=True):
             steps.extend((own + rows.start).tolist())
     if not any(faults):
-        return said("clock", "fine", text=f"{log.samples} stamps increase")
+        return worded_check("clock", "fine", text=f"{log.samples} stamps increase")
     counted = [f"{len(steps)} {what}" for steps, what in zip(faults, _WHAT, strict=True) if steps]
     first = min(min(steps) for steps in faults if steps)
-    check = said(
+    check = worded_check(
         "clock", "wrong", estimate=float(sum(map(len, faults))), found=", ".join(counted),
         row=first + 1, t=float(log.t[first]),
     )  # fmt: skip
@@ -123,7 +113,8 @@ def _steps(q: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _clock_repairs(log: Log, repeated: list[int], broken: list[int]) -> list[Repair]:
     same = [k for k in repeated if bool((log.q[k + 1] == log.q[k]).all())]
-    if len(repeated) > COARSE * log.samples and 2 * len(same) < len(repeated):
+    # 0.02: share of the stamps that repeat from which on they are coarser than the sampling
+    if len(repeated) > 0.02 * log.samples and 2 * len(same) < len(repeated):
         # Stamps coarser than the sampling: the rows are in order, and evenly taken.
         return [*([RejoinTime(tuple(broken))] if broken else []), EvenTime()]
     repairs: list[Repair] = []
@@ -142,13 +133,13 @@ def check_time_unit(case: Case) -> Check:
     if factor is None:
         if step <= SLOW_STEP_S or any(0.5 < r < 2.0 for r in ratios):
             text = f"seconds: median step {1e3 * step:.4g} ms"
-            return said("time unit", "fine", estimate=1.0, text=text)
+            return worded_check("time unit", "fine", estimate=1.0, text=text)
         why = "dq disagrees" if ratios else "no arm is sampled so slowly"
         factor = next((f for f in TIME_UNITS if 1e-4 <= step / f <= SLOW_STEP_S), None)
     if factor is None:
-        return said("time unit", "doubtful", text=f"a median step of {step:g} is no arm's")
+        return worded_check("time unit", "doubtful", text=f"a median step of {step:g} is no arm's")
     words: dict[str, Any] = {"unit": TIME_UNITS[factor], "step": step, "why": why.format(factor)}
-    check = said("time unit", "wrong", estimate=factor, **words)
+    check = worded_check("time unit", "wrong", estimate=factor, **words)
     return check.mended_by(ScaleTime(1.0 / factor))
 
 
@@ -162,9 +153,12 @@ def check_dropouts(case: Case) -> Check:
         f"{len(gaps)} gap{'s' * (len(gaps) != 1)} of more than 3 steps, {100 * share:.2g} % of the "
         "samples missing"
     )
-    if share < DROPPED and longest < LONG_GAP_S:
-        return said("dropouts", "fine", estimate=share, text=text if len(gaps) else "no gaps")
-    return said("dropouts", "doubtful", estimate=share, text=text, longest=1e3 * longest)
+    # 0.01: share of the samples that may be missing in gaps
+    if share < 0.01 and longest < LONG_GAP_S:
+        return worded_check(
+            "dropouts", "fine", estimate=share, text=text if len(gaps) else "no gaps"
+        )
+    return worded_check("dropouts", "doubtful", estimate=share, text=text, longest=1e3 * longest)
 
 
 def check_held(case: Case) -> Check:
@@ -184,14 +178,16 @@ def check_held(case: Case) -> Check:
     text = ", ".join(f"{name} {100 * share:.2g} %" for name, share in shares.items())
     rows = (torch.stack(list(held.values())).all(0) & moving).nonzero().flatten() + 1
     share = len(rows) / usable
-    if share > HELD:
-        check = said("held samples", "wrong", estimate=share, percent=100 * share)
+    # Share of the moving rows that may repeat the one before; fewer are lost in any filter
+    held_share = 0.1
+    if share > held_share:
+        check = worded_check("held samples", "wrong", estimate=share, percent=100 * share)
         return check.mended_by(Bridge(tuple(rows.tolist())))
-    late = " and ".join(name for name, share in shares.items() if share > 2 * HELD)
+    late = " and ".join(name for name, share in shares.items() if share > 2 * held_share)
     if late:
         most = max(shares.values())
-        return said("held samples", "doubtful", estimate=most, text=text, late=late)
-    return said("held samples", "fine", estimate=0.0, text=text)
+        return worded_check("held samples", "doubtful", estimate=most, text=text, late=late)
+    return worded_check("held samples", "fine", estimate=0.0, text=text)
 
 
 _MEASURED = ("q", "dq", "tau", "current")
@@ -209,16 +205,18 @@ def check_stamps(case: Case) -> Check:
     text = "; ".join(dict.fromkeys(str(s) for s in time_steps(case.log)[:3]))
     parts = [(part.t.numpy(), part.q.numpy()) for part in case.log.trajectories()]
     share = max(_spread(np.diff(t)) for t, _ in parts)
-    if share < UNEVEN:
-        return said("stamps", "fine", estimate=share, text=text)
+    # 0.1: steps that spread by less than this share of the median are even
+    if share < 0.1:
+        return worded_check("stamps", "fine", estimate=share, text=text)
     worst = max(_roughness_ratio(t, q) for t, q in parts)
-    if worst >= SMOOTHER:
+    # 3.0: stamps are taken for wrong when positions are this many times smoother over even ones
+    if worst >= 3.0:
         known: dict[str, Any] = {"percent": 100 * share, "worst": worst, "text": text}
-        return said("stamps", "wrong", estimate=worst, **known).mended_by(EvenTime())
+        return worded_check("stamps", "wrong", estimate=worst, **known).mended_by(EvenTime())
     long = max(_usual_longest(np.diff(t)) for t, _ in parts)
     if long < LONG:
-        return said("stamps", "fine", estimate=share, text=text)
-    return said("stamps", "doubtful", estimate=long, long=long, text=text)
+        return worded_check("stamps", "fine", estimate=share, text=text)
+    return worded_check("stamps", "doubtful", estimate=long, long=long, text=text)
 
 
 def _spread(step: np.ndarray) -> float:

@@ -23,19 +23,11 @@ SIZES = (0.3, 0.12, 0.04)
 points, as shares of the arm's reach."""
 OWN = 4
 """Columns of a joint's own: dq, direction of motion, ddq, one."""
-_LEAST_REACH = 0.5
-_ROUNDS = 3
-_MODEL = 0.02
+MODEL = 0.02
 """Error of the model itself, as a share of a torque's spread: friction is not quite Coulomb's, nor
 a link a few points, and what is gained below this says nothing."""
 _RIDGE = 1e-10
 """Beside columns of length one."""
-_UNSEEN = 1e-6
-_MORE = 20
-"""Unknowns that are taken up at a time."""
-_TRIES = 50
-_HELPS = 1e-11
-"""Part of the target along a column that is still left, from which on the column helps."""
 
 Weights = np.ndarray | None
 """(n,) of the joints."""
@@ -64,13 +56,13 @@ class Normal:
     whole: np.ndarray | None = None
 
     def part(self, blocks: np.ndarray) -> "Normal":
-        """Of some blocks."""
+        """Normal equations of some blocks of time."""
         every = self.gram, self.cross, self.square, self.count
         gram, cross, square, count = (x[blocks] for x in every)
         return Normal(gram, cross, square, count, self.spread)
 
     def without(self, block: int) -> "Normal":
-        """The other blocks."""
+        """Normal equations of all blocks of time but one."""
         others = self.part(np.arange(len(self.count)) != block)
         whole = None if self.whole is None else self.whole - self.gram[block]
         return replace(others, whole=whole)
@@ -89,26 +81,26 @@ class Normal:
         return np.maximum(error, 0.0) / np.maximum(self.count, 1)
 
 
-def cone(robot: Robot) -> np.ndarray:
+def cone(robot: Robot, own: int = OWN) -> np.ndarray:
     """(P, U) from unknowns that are not negative, point masses of every link and each joint's own
-    coefficients, to parameters: P = 10 n in the paper's order, then OWN a joint."""
+    coefficients, to parameters: P = 10 n in the paper's order, then `own` a joint."""
     n = robot.n
-    reach = max(reach_of(robot), _LEAST_REACH)
+    # 0.5: reach of the smallest arm [m]
+    reach = max(reach_of(robot), 0.5)
     axis = np.array([-1.0, 0.0, 1.0])
     cube = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
     points = np.unique(np.concatenate([size * cube for size in SIZES]), axis=0) * reach
     body = np.stack([_point(x) for x in points], 1)
     count = len(points)
-    rows = (OWN + 10) * n
-    matrix = np.zeros((rows, n * count + (OWN + 1) * n))
+    matrix = np.zeros(((own + 10) * n, n * count + (own + 1) * n))
     for link in range(n):
         columns = slice(link * count, (link + 1) * count)
         matrix[link, columns] = body[0]
         matrix[n + 3 * link : n + 3 * link + 3, columns] = body[1:4]
         matrix[4 * n + 6 * link : 4 * n + 6 * link + 6, columns] = body[4:]
-        first, own = 10 * n + OWN * link, n * count + (OWN + 1) * link
-        matrix[first : first + OWN, own : own + OWN] = np.eye(OWN)
-        matrix[first + OWN - 1, own + OWN] = -1.0
+        first, unknown = 10 * n + own * link, n * count + (own + 1) * link
+        matrix[first : first + own, unknown : unknown + own] = np.eye(own)
+        matrix[first + own - 1, unknown + own] = -1.0
     return matrix
 
 
@@ -155,7 +147,8 @@ def fit(normal: Normal, bodies: np.ndarray, given: Weights = None, used: Unknown
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
     spread = np.where(live, normal.spread, 1.0)
-    rounds = _ROUNDS if given is None else 1
+    # 3: rounds, after which the weights hardly change
+    rounds = 3 if given is None else 1
     w = live / spread if given is None else np.where(live, given, 0.0) / spread
     x = np.zeros(gram.shape[-1])
     variance = spread.copy()
@@ -164,7 +157,7 @@ def fit(normal: Normal, bodies: np.ndarray, given: Weights = None, used: Unknown
         square = normal.square.sum(0) - 2 * cross @ x + gram @ x @ x
         variance = np.maximum(square, 0.0) / total
         if given is None:
-            w = live / (variance + _MODEL**2 * spread)
+            w = live / (variance + MODEL**2 * spread)
     return Fit(x, variance, w * spread, used)
 
 
@@ -221,7 +214,8 @@ def _solve(
     target = solve_triangular(root, cross / size, lower=True)
     norm = np.linalg.norm(rows, axis=0)
     # What hardly shows in these rows is rounding, and would be fitted with masses of any size.
-    norm[norm < _UNSEEN * norm.max(initial=0.0)] = np.inf
+    # 1e-6: columns below this share of the longest are rounding
+    norm[norm < 1e-6 * norm.max(initial=0.0)] = np.inf
     u = _not_negative(rows / norm, target, used)
     return matrix @ (u / norm), u.nonzero()[0]
 
@@ -229,10 +223,13 @@ def _solve(
 def _not_negative(a: np.ndarray, y: np.ndarray, used: Unknowns) -> np.ndarray:
     """Unknowns (U,), zero or more, with which columns (R, U) of length one come nearest to y (R,):
     found among a few of them, to which come those that would help most, until none would."""
-    most, least = 50 * a.shape[1], _HELPS * np.linalg.norm(y)
+    # 1e-11: part of the target along a column that is still left, from which on the column helps
+    most, least = 50 * a.shape[1], 1e-11 * np.linalg.norm(y)
     u, helps = np.zeros(a.shape[1]), a.T @ y
-    for _ in range(_TRIES):
-        some = np.union1d(used, np.argsort(helps)[-_MORE:]).astype(int)
+    # 50: rounds at most
+    for _ in range(50):
+        # 20: unknowns that are taken up at a time
+        some = np.union1d(used, np.argsort(helps)[-20:]).astype(int)
         u[:] = 0.0
         u[some], _ = nnls(a[:, some], y, maxiter=most)
         used = u.nonzero()[0]
@@ -246,4 +243,4 @@ def _not_negative(a: np.ndarray, y: np.ndarray, used: Unknowns) -> np.ndarray:
 def shares(variance: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Errors as shares of the torque's spread, the model's with them; 1 where it never changes."""
     safe = np.where(spread > 0, spread, 1.0)
-    return np.where(spread > 0, np.sqrt(np.maximum(variance, 0.0) / safe + _MODEL**2), 1.0)
+    return np.where(spread > 0, np.sqrt(np.maximum(variance, 0.0) / safe + MODEL**2), 1.0)

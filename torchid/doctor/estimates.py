@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from msgspec import structs
 
-from torchid.doctor.check import Check, Choice, judged, said, with_choices
+from torchid.doctor.check import Check, Choice, judged, with_choices, worded_check
 from torchid.doctor.cone import fit
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
 from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, minimum, profile
@@ -26,14 +26,6 @@ from torchid.statistics.jackknife import from_left_out
 
 _LOOSE = math.radians(20.0)
 _STEP = math.radians(4.0)
-LATE_STEPS = 0.5
-"""Lags that are shorter than this many sampling steps are not worth mending."""
-LIKELY = 0.5
-"""Share of a clear gain that a lag must be worth when its interval lies beyond those: heavy
-friction, which no lag of this size explains away, leaves less to gain. On healthy logs it was .3 at
-most."""
-LOOSE_LAG_S = 0.05
-"""Half-width of an interval from which it says nothing of a lag [s]."""
 _LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
 """Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
@@ -48,7 +40,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     size = float(np.linalg.norm(model))
     if size == 0.0 or not judge.live(end):
         return judged("gravity", "cannot tell", "no gravity in the model, or nothing moves")
-    turned = [f for f in result.found if f.move.kind == "gravity"]
+    turned = [f for f in result.faults if f.move.kind == "gravity"]
     least = min((cost for cost, m in result.costs if m.kind == "gravity"), default=math.inf)
     if least < TIED_GAIN and not turned:
         return judged("gravity", "cannot tell", "another direction of gravity explains it as well")
@@ -70,7 +62,7 @@ def check_gravity(judge: Judge, result: Search, fixes: Collection[str] = ()) -> 
     elif tilt - half > TILT_RAD and gain > CLEAR_GAIN:
         verdict, choices = "doubtful", [Choice("gravity", fix)]
     interval = math.degrees(max(0.0, angle - half)), math.degrees(angle + half)
-    check = said(
+    check = worded_check(
         "gravity", verdict, estimate=tuple(estimate.tolist()), interval=interval, text=text
     )
     return with_choices(check, choices, fixes) if choices else check
@@ -125,13 +117,17 @@ def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
 def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     """`clear`, `likely` (its interval lies beyond what is worth mending), `long` (but nothing bears
     it out), or empty."""
-    gain = lag.gain + sum(f.gain for f in result.found if f.move.kind == "lag")
-    least = max(LATE_TORQUE_S, LATE_STEPS * judge.samples.step)
+    gain = lag.gain + sum(f.gain for f in result.faults if f.move.kind == "lag")
+    # 0.5: lags that are shorter than this many sampling steps are not worth mending
+    least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
     if result.explained and long and gain > CLEAR_GAIN:
         return "clear"
-    if result.explained and away > least and gain > LIKELY * CLEAR_GAIN:
+    # 0.5: share of a clear gain that a lag must be worth when its interval lies beyond those: heavy
+    # friction, which no lag of this size explains away, leaves less to gain. On healthy logs it was
+    # .3 at most.
+    if result.explained and away > least and gain > 0.5 * CLEAR_GAIN:
         return "likely"
     return "long" if long else ""
 
@@ -170,13 +166,13 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
     if lag is None:
         return judged("lag", "cannot tell", "nothing moves with a torque")
     end = result.final.hypothesis
-    searched = [f for f in result.found if f.move.kind == "lag"]
+    searched = [f for f in result.faults if f.move.kind == "lag"]
     sign, word = (1e3, "late") if lag.value >= 0.0 else (-1e3, "early")
     low, high = sorted((sign * lag.low, sign * lag.high))
     text = f"torque is {sign * lag.value:.1f} ms {word} ({low:.1f} to {high:.1f} ms)" + (
         "; a loop over position explains more than a lag" if judge.samples.loop else ""
     )
-    check = said("lag", "fine", estimate=lag.value, interval=(lag.low, lag.high), text=text)
+    check = worded_check("lag", "fine", estimate=lag.value, interval=(lag.low, lag.high), text=text)
     late = _lateness(judge, result, lag)
     if late in ("clear", "likely"):
         if apart := _lags_apart(judge, end, lag.value):
@@ -187,7 +183,8 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
         live = judge.live(end)
         sure = late == "clear" and any(f.before[live].max() > EXPLAINED for f in searched)
         return structs.replace(check, verdict="wrong" if sure else "doubtful").mended_by(repair)
-    loose = 0.5 * (lag.high - lag.low) > LOOSE_LAG_S
+    # 0.05: half-width of an interval from which it says nothing of a lag [s]
+    loose = 0.5 * (lag.high - lag.low) > 0.05
     if loose or searched or late or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check

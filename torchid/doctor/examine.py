@@ -225,7 +225,7 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
         none = [judged(name, "cannot tell", rows) for name in MODEL_CHECKS]
         return Examination(robot, given, (*case.checks, *none))
     judge = Judge(robot, rows)
-    found = search(judge, start, fixes)
+    found = search(judge, start, fixes, first=first)
     lag = lag_of(judge, found)
     if (loop := looped(judge, found, lag)) is not None:
         judge, found = loop, search(loop, start, fixes)
@@ -242,13 +242,13 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
     end, checks = found.final.hypothesis, list(case.checks)
     if found.explained:
         case = replace(
-            case, log=repaired(case.log, [r for f in found.found for r in f.move.repairs])
+            case, log=repaired(case.log, [r for f in found.faults for r in f.move.repairs])
         )
         # Positions beyond the limits may be another joint's, or of another sign.
         for k, check in enumerate(checks):
             if check.name == "zero of positions" and not check.repairs:
                 checks[k : k + 1] = motion.check_zeros(case)
-    turned = any(f.move.kind == "gravity" for f in found.found)
+    turned = any(f.move.kind == "gravity" for f in found.faults)
     # First: if it leaves a choice, the others wait.
     if kind is not None:
         checks.append(kind)

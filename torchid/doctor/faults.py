@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from torchid.doctor.check import Check, Choice, judged, said, with_choices
+from torchid.doctor.check import Check, Choice, judged, with_choices, worded_check
 from torchid.doctor.hypothesis import Hypothesis, Judge, factors_of, profile
 from torchid.doctor.moves import FAULTS, TENTH, Move, invisible_groups, least_groups
 from torchid.doctor.record import Verdict
 from torchid.doctor.repair import MappedColumns
-from torchid.doctor.search import Found, Search
+from torchid.doctor.search import FoundFault, Search, percent
 from torchid.doctor.size import nominal_loss, nominal_slopes, other_moments
 from torchid.robot.model import joint_list
 from torchid.statistics.criteria import CLEAR_GAIN, LEAST_GAIN, TOLD, UNEXPLAINED
@@ -21,17 +21,15 @@ _ALWAYS = ("joint order", "torque sign", "position sign", "gain of a joint")
 """Checks that are there without a fault, too."""
 UNTOLD = "the torque is not explained either way"
 """Of what bodies do not explain."""
-_MOST_NAMED = 4
-"""Groups of joints that are named."""
 
 
-def denied_faults(judge: Judge, result: Search) -> list[Found]:
+def denied_faults(judge: Judge, result: Search) -> list[FoundFault]:
     """Faults that the robot's own parameters do not confirm."""
-    modelled = [f for f in result.found if FAULTS[f.move.kind].modelled]
+    modelled = [f for f in result.faults if FAULTS[f.move.kind].modelled]
     return [f for f in modelled if _nominal_objects(judge, f)]
 
 
-def confirmed(result: Search, denied: Sequence[Found]) -> Hypothesis:
+def confirmed(result: Search, denied: Sequence[FoundFault]) -> Hypothesis:
     """Where a search ended, or stood before the first fault that the robot's own parameters do not
     confirm: what they say of the torque's size holds for motion as it is logged."""
     return denied[0].move.before if denied else result.final.hypothesis
@@ -40,7 +38,7 @@ def confirmed(result: Search, denied: Sequence[Found]) -> Hypothesis:
 def fault_checks(
     judge: Judge,
     result: Search,
-    denied: Collection[Found],
+    denied: Collection[FoundFault],
     fixes: Collection[str] = (),
     before: Sequence[Check] = (),
 ) -> list[Check]:
@@ -54,7 +52,7 @@ def fault_checks(
     """
     unit = _taken_unit(before)
     live = judge.live(result.final.hypothesis)
-    found = [f for f in result.found if FAULTS[f.move.kind].check]
+    found = [f for f in result.faults if FAULTS[f.move.kind].check]
     checks = [
         _explained(judge, result, live),
         *(_check(judge, result, f, f in denied, fixes, unit) for f in found),
@@ -68,13 +66,15 @@ def fault_checks(
         elif not result.explained:
             checks.append(judged(name, "cannot tell", UNTOLD))
         else:
-            checks.append(said(name, "fine"))
+            checks.append(worded_check(name, "fine"))
     return checks
 
 
 def unseen_faults(judge: Judge, result: Search) -> list[Check]:
     """Faults that would not show in this log: having them costs too little."""
     out = []
+    # Groups of joints that are named
+    most_named = 4
     for kind in (kind for kind, fault in FAULTS.items() if fault.hides):
         groups = [m.joints for cost, m in result.costs if m.kind == kind and cost < CLEAR_GAIN]
         if kind == "joint sign":
@@ -87,10 +87,12 @@ def unseen_faults(judge: Judge, result: Search) -> list[Check]:
         told = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
         if not told:
             continue
-        if len(told) > _MOST_NAMED:
-            told[_MOST_NAMED:] = [f"{len(told) - _MOST_NAMED} more"]
+        if len(told) > most_named:
+            told[most_named:] = [f"{len(told) - most_named} more"]
         joints = sorted({k for g in groups for k in g})
-        out.append(said(f"unseen {kind}", "cannot tell", " or of ".join(told), joints=joints))
+        out.append(
+            worded_check(f"unseen {kind}", "cannot tell", " or of ".join(told), joints=joints)
+        )
     return out
 
 
@@ -111,14 +113,16 @@ def _explained(judge: Judge, result: Search, live: Sequence[int]) -> Check:
         return judged("torque explained", "cannot tell", "nothing moves with a torque")
     left = result.left[list(live)]
     text = "bodies that can exist, friction and offsets leave " + ", ".join(
-        f"{100 * x:.0f} % (joint {k + 1})" for k, x in zip(live, left, strict=True)
+        f"{percent(x)} (joint {k + 1})" for k, x in zip(live, left, strict=True)
     )
     verdict = "fine" if result.explained else "doubtful"
     text = f"{text} of the torque's spread, on time held out"
     odd = [k for k, x in zip(live, left, strict=True) if x > UNEXPLAINED]
     for joints, moment in moments_of(judge, result, odd):
         text += f"; the torque of {joint_list(joints)} is {moment}"
-    return said("torque explained", verdict, joints=live, estimate=tuple(left.tolist()), text=text)
+    return worded_check(
+        "torque explained", verdict, joints=live, estimate=tuple(left.tolist()), text=text
+    )
 
 
 def moments_of(judge: Judge, result: Search, joints: Sequence[int]) -> list[tuple[list[int], str]]:
@@ -146,7 +150,7 @@ def _taken_unit(before: Sequence[Check]) -> dict[int, float]:
 def _check(
     judge: Judge,
     result: Search,
-    found: Found,
+    found: FoundFault,
     denied: bool,
     fixes: Collection[str],
     unit: dict[int, float],
@@ -195,7 +199,7 @@ def _check(
     return check if unsure else with_choices(check, choices, fixes, sure=not doubtful)
 
 
-def _nominal_objects(judge: Judge, found: Found) -> bool:
+def _nominal_objects(judge: Judge, found: FoundFault) -> bool:
     """Whether the robot has parameters that explain the torque no better with a fault mended: two
     witnesses, for free bodies find more than one way to explain a slow or narrow motion."""
     if judge.robot.parameters is None or not judge.robot.parameters.pi.any():
@@ -220,7 +224,7 @@ def _odd_size(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:
     return abs(math.log(float(slopes.value[own][0] / np.median(others))))
 
 
-def choices_of(found: Found) -> list[Choice]:
+def choices_of(found: FoundFault) -> list[Choice]:
     """The fault that was found and those that would explain the log as well."""
     return [
         Choice(m.name, gravity_fix(m.after.gravity), m.repairs)
@@ -239,13 +243,12 @@ def gravity_fix(gravity: Sequence[float] | np.ndarray) -> str:
     )
 
 
-def improvement_text(found: Found) -> str:
+def improvement_text(found: FoundFault) -> str:
     """What mending does to the error of the joints it matters to most, held out."""
     ratio = found.before / found.after
     worst = [int(k) for k in np.argsort(-ratio)[:3] if found.helped[k]]
     changes = ", ".join(
-        f"joint {k + 1} {100 * found.before[k]:.0f} % -> {100 * found.after[k]:.1f} %"
-        for k in worst
+        f"joint {k + 1} {percent(found.before[k])} -> {percent(found.after[k])}" for k in worst
     )
     return f"held-out error {changes}, better in {found.blocks[0]} of {found.blocks[1]} blocks"
 

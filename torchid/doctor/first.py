@@ -56,8 +56,8 @@ class Doubts:
     foreign: str = ""
 
     @property
-    def said(self) -> tuple[str, ...]:
-        """All of it, where there is no headline."""
+    def sentences(self) -> tuple[str, ...]:
+        """Doubts and warnings, where there is no headline to hold the first."""
         return (self.short, *self.warnings) if self.short else ()
 
 

@@ -10,8 +10,6 @@ from torchid.log.readers import open_log
 from torchid.log.table import Request
 from torchid.log.units import UNITS
 
-_EXACT = 1e-12
-
 
 def flag_for(repairs: Sequence[Repair], n: int, files: Sequence[Path]) -> str | None:
     """`columns_option` for logs that are read without it."""
@@ -91,6 +89,7 @@ def _factor(key: str, factors: Sequence[float]) -> str:
     if factors[0] == 1.0:
         return ""
     for unit, factor in UNITS[key].items():
-        if abs(factors[0] / factor - 1.0) < _EXACT:
+        # 1e-12: rounding of a factor that is a unit's
+        if abs(factors[0] / factor - 1.0) < 1e-12:
             return f" {unit}"
     return f" *{factors[0]:.17g}"

@@ -18,8 +18,6 @@ from torchid.statistics.jackknife import from_left_out
 FEWEST = 5
 """Rows that a joint must have in a block of time to be judged there."""
 
-_TOGETHER = 4000
-"""Rows whose regressors are evaluated at a time: of fewer the calls take longer than the work."""
 
 Rows = np.ndarray | slice
 """Of a block of time."""
@@ -86,12 +84,19 @@ class Score:
 
 
 class Judge:
-    """Fits hypotheses about one log; keeps what several of them share."""
+    """Fits hypotheses about one log; keeps what several of them share.
 
-    def __init__(self, robot: Robot, samples: Samples):
+    Args:
+        robot: whose bodies are fitted.
+        samples: of the log.
+        springs: whether a joint may have a spring, too: what looks like a joint's gravity.
+    """
+
+    def __init__(self, robot: Robot, samples: Samples, *, springs: bool = False):
         self.robot = robot
         self.samples = samples
-        self.cone = cone(robot)
+        self.springs = springs
+        self.cone = cone(robot, OWN + springs)
         self._used: Unknowns = ()
         self._scores: dict[tuple, Score] = {}
         self._columns: dict[tuple, Columns] = {}
@@ -178,10 +183,11 @@ class Judge:
                 del self._columns[next(iter(self._columns))]
             rigid, own = (f(hypothesis).numpy() for f in (self._regressor, self.own))
             count, n, links = rigid.shape
-            a = np.zeros((n, count, links + OWN * n))
+            each = own.shape[-1]
+            a = np.zeros((n, count, links + each * n))
             for i in range(n):
                 a[i, :, :links] = rigid[:, i]
-                a[i, :, links + OWN * i : links + OWN * (i + 1)] = own[:, i]
+                a[i, :, links + each * i : links + each * (i + 1)] = own[:, i]
             a *= self.moving(hypothesis).T[..., None]
             self._columns[key] = Columns(a)
         return self._columns[key]
@@ -196,7 +202,9 @@ class Judge:
             gravity, count = hypothesis.gravity, len(self.samples.motion)
             some = {hypothesis.moved: hypothesis}
             some |= {k: h for k, h in self._expected.items() if h.gravity == gravity}
-            some = dict(itertools.islice(some.items(), max(1, _TOGETHER // count)))
+            # 4000: rows whose regressors are evaluated at a time: of fewer the calls take longer
+            # than the work
+            some = dict(itertools.islice(some.items(), max(1, 4000 // count)))
             self._expected = {k: h for k, h in self._expected.items() if k not in some}
             robot = replace(self.robot, gravity=torch.tensor(gravity, dtype=torch.float64))
             motion = torch.cat([self.motion(h) for h in some.values()])
@@ -205,9 +213,10 @@ class Judge:
         return self._rigid.pop(hypothesis.moved)
 
     def own(self, hypothesis: Hypothesis) -> torch.Tensor:
-        """(T, n, OWN) what is each joint's own: dq, direction of motion, ddq, one."""
-        _, dq, ddq, sign = self.motion(hypothesis).unbind(-1)
-        return torch.stack([dq, sign, ddq, torch.ones_like(dq)], -1)
+        """(T, n, OWN) what is each joint's own: dq, direction of motion, ddq, one; with springs q
+        before the last."""
+        q, dq, ddq, sign = self.motion(hypothesis).unbind(-1)
+        return torch.stack([dq, sign, ddq, *[q] * self.springs, torch.ones_like(dq)], -1)
 
     def nominal(self, hypothesis: Hypothesis, gravity: torch.Tensor | None = None) -> torch.Tensor:
         """(T, n) torque of the robot's own parameters, under the hypothesis's gravity or this."""

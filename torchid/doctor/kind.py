@@ -6,20 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from torchid.doctor.check import Check, said
+from torchid.doctor.check import Check, worded_check
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.robot.model import joint_list
 from torchid.statistics.criteria import HOLDS, HOLDS_NONE, UNEXPLAINED
 from torchid.statistics.jackknife import fit_statistics
-
-MASSES = 0.3
-"""Errors of nominal masses, as a share of the torque that they make."""
-_WORTH = 0.2
-"""Spread of a joint's nominal part, over that of its nominal torque, from which on it counts."""
-_SCALED = 0.5
-"""Share of the torque that nominal parts explain, however small they are, from which on it is a
-torque in another unit, or of the motors' side."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +76,14 @@ def shares_of(judge: Judge, hypothesis: Hypothesis) -> Shares | None:
         columns = np.r_[0:4, 4 + 4 * at : 8 + 4 * at]
         left = y - x[:, columns] @ np.linalg.lstsq(x[:, columns], y, rcond=1e-9)[0]
         nominal = parts[use, j].sum(-1).std()
-        scale = max(np.hypot(left.std(), MASSES * nominal), 0.02 * y.std(), 1e-300)
+        # 0.3: errors of nominal masses, as a share of the torque that they make
+        scale = max(np.hypot(left.std(), 0.3 * nominal), 0.02 * y.std(), 1e-300)
         rows.append(x / scale)
         targets.append(y / scale)
         owners.append(block[use])
-        if parts[use, j, :3].std(0).max() > _WORTH * max(nominal, 1e-300):
+        # 0.2: spread of a joint's nominal part, over that of its nominal torque, from which on it
+        # counts
+        if parts[use, j, :3].std(0).max() > 0.2 * max(nominal, 1e-300):
             weighed.append(j)
     if not weighed:
         return None
@@ -135,7 +130,9 @@ def check_kind(judge: Judge, end: Hypothesis) -> Check | None:
     shares = shares_of(judge, replace(end, tau=replace(end.tau, factors=signs)))
     if shares is None or not shares.weightless:
         return None
-    if shares.inert and shares.explained > _SCALED:
+    # 0.5: share of the torque that nominal parts explain, however small they are, from which on it
+    # is a torque in another unit, or of the motors' side
+    if shares.inert and shares.explained > 0.5:
         return None
     if not shares.inert:
         # Of what no body explains with or without gravity it says nothing that none shows.
@@ -153,12 +150,14 @@ def check_kind(judge: Judge, end: Hypothesis) -> Check | None:
     if shares.inert:
         both = gravity, shares.inertial
         known = {"text": text, "inertial": inertial}
-        return said("torque kind", "wrong", joints=shares.joints, estimate=both, **known)
+        return worded_check("torque kind", "wrong", joints=shares.joints, estimate=both, **known)
     also = ""
     if shares.inert is None:
         also = f"; as good: external torque, without the model ({inertial} of the accelerations')"
     none = (0.0, 0.0, 0.0)
-    return said("gravity", "wrong none", joints=shares.joints, estimate=none, text=text + also)
+    return worded_check(
+        "gravity", "wrong none", joints=shares.joints, estimate=none, text=text + also
+    )
 
 
 def weightless(hypothesis: Hypothesis) -> Hypothesis:

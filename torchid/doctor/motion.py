@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 
 from torchid.doctor.case import Case
-from torchid.doctor.check import Check, Choice, judged, said, with_choices
+from torchid.doctor.check import Check, Choice, judged, with_choices, worded_check
 from torchid.doctor.repair import PLACES, Map, MappedColumns, Repair, Unwrap, scaled, shifted
 from torchid.log.checks import (
     DEGREES,
@@ -27,8 +27,6 @@ from torchid.typing import Float, Tensor
 
 COUNTS = 100.0
 """Positions beyond this [rad] that are whole numbers are encoder counts."""
-IDLE = 0.5
-"""Share of the log in which nothing may move."""
 _TURN = 2.0 * math.pi
 _RPM = _TURN / 60.0
 _REGISTERS = (
@@ -42,18 +40,12 @@ _REGISTERS = (
 """Counts a turn, rad/s a count of velocity, and whose registers they are (makers' manuals)."""
 _PARTS_OF_DEGREES = (3600.0, 36000.0, 360000.0)
 """Counts a turn besides powers of two."""
-_SAME_REGISTER = 0.03
-"""Deviation of a measured ratio of velocity and position from what registers make."""
-_SLOWEST = 0.05
-"""Ratio of velocity and position from which on counts have velocities in a unit of their own."""
 _MIDDLES = {"zero at half a turn": math.pi, "zero at 150 degrees": math.radians(150.0)}
 """Middles of the range that a counter has, a turn or 300 degrees."""
 _OWN_UNIT = (
     "say what they are: q=q{j} *[1/GEAR,..] +[ZERO,..] of motors before their gears (tau times "
     "GEAR), q=q{j} rev/COUNTS of counts"
 )
-_FULL = 100.5
-"""Positions in percent of a range are below."""
 
 
 @dataclass(frozen=True)
@@ -198,7 +190,9 @@ def _unit_of(case: Case, k: int, servo: _Unit | None) -> _Unit:
     counts = f"{name} {low:g} to {high:g}, whole numbers: encoder counts"
     if servo is not None:
         return _Unit(servo.factor, servo.rate, f"{counts}, and dq in units of {servo.evidence}")
-    if ratio is None or ratio > _SLOWEST:
+    # 0.05: ratio of velocity and position from which on counts have velocities in a unit of their
+    # own
+    if ratio is None or ratio > 0.05:
         return _Unit(None, 1.0, counts)
     # Radians per count from dq in rad/s; a power of two per turn where that is near.
     turn = _TURN / ratio
@@ -214,7 +208,8 @@ def _servo(case: Case) -> _Unit | None:
         return None
     for counts, speed, name in _REGISTERS:
         expected = _TURN / counts / speed
-        if all(abs(r / expected - 1.0) < _SAME_REGISTER for r in ratios):
+        # 0.03: deviation of a measured ratio of velocity and position from what registers make
+        if all(abs(r / expected - 1.0) < 0.03 for r in ratios):
             return _Unit(_TURN / counts, speed, name)
     return None
 
@@ -228,7 +223,8 @@ def _no_degrees(units: _Units, beyond: Sequence[tuple[int, float, float]]) -> li
         return []
     degrees = Choice.by("degrees", *units.repairs)
     bounded = bool(torch.isfinite(limits).all()) and set(units.factors) == {1.0 / DEGREES}
-    within = float(case.log.q.abs().max()) <= _FULL
+    # 100.5: positions in percent of a range are below
+    within = float(case.log.q.abs().max()) <= 100.5
     if bounded and within and all(near(r, 1.0) for r in _ratios(case).values()):
         # From -100 to 100 of each joint's range.
         half, middle = ((limits[:, 1] - limits[:, 0]) / 200.0).tolist(), limits.mean(1).tolist()
@@ -273,7 +269,7 @@ def check_zeros(case: Case) -> Sequence[Check]:
     low, high = case.log.q.amin(0).tolist(), case.log.q.amax(0).tolist()
     out = [k for k, own in ranges.items() if _beyond(own, low[k], high[k]) > BEYOND_LIMIT_RAD]
     if not out:
-        return [said("zero of positions", "fine")]
+        return [worded_check("zero of positions", "fine")]
     # Whole turns of the joints that are out; where these do not do, one zero of all.
     options = {"whole turns": {k: _back(ranges[k], low[k], high[k]) for k in out}}
     if None in options["whole turns"].values():
@@ -293,11 +289,11 @@ def check_zeros(case: Case) -> Sequence[Check]:
         f"q{k + 1} {low[k]:.3g} to {high[k]:.3g}, limits {_span(ranges[k])}" for k in out[:3]
     )
     if choices:
-        check = said("zero of positions", "wrong", joints=joints, evidence=evidence)
+        check = worded_check("zero of positions", "wrong", joints=joints, evidence=evidence)
         return [with_choices(check, choices, case.fixes)]
     mirrored = all(_beyond(ranges[k], -high[k], -low[k]) < BEYOND_LIMIT_RAD for k in out)
     verdict = "doubtful mirrored" if mirrored else "doubtful"
-    return [said("zero of positions", verdict, joints=out, evidence=evidence)]
+    return [worded_check("zero of positions", verdict, joints=out, evidence=evidence)]
 
 
 def _back(limits: Tensor, low: float, high: float) -> float | None:
@@ -333,7 +329,7 @@ def check_jumps(case: Case) -> Check:
         *position_jumps(log),
     ]
     if not jumps:
-        return said("position jumps", "fine")
+        return worded_check("position jumps", "fine")
     mended = Unwrap(tuple(case.turning), turn).apply(log)
     joints = tuple((mended.q != log.q).any(0).nonzero().flatten().tolist())
     return judged(
@@ -360,10 +356,13 @@ def check_standstill(case: Case) -> Check:
     still = (case.extent < STILL).nonzero().flatten().tolist()
     if still:
         extents, s = tuple(case.extent[still].tolist()), "s" * (len(still) == 1)
-        return said("standstill", "doubtful", joints=still, estimate=extents, s=s, still=STILL)
+        return worded_check(
+            "standstill", "doubtful", joints=still, estimate=extents, s=s, still=STILL
+        )
     parts = case.log.trajectories()
     speed = torch.cat([p.q.diff(dim=0) / p.t.diff()[:, None] for p in parts]).abs()
     fast = column_quantile(speed[:: max(1, len(speed) // 100_000)], 0.95)
     idle = float((speed < 0.02 * fast.clamp(min=1e-9)).all(1).double().mean())
-    verdict = "doubtful idle" if idle > IDLE else "fine"
-    return said("standstill", verdict, estimate=idle, percent=100 * idle)
+    # 0.5: share of the log in which nothing may move
+    verdict = "doubtful idle" if idle > 0.5 else "fine"
+    return worded_check("standstill", verdict, estimate=idle, percent=100 * idle)

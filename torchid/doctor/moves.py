@@ -27,10 +27,7 @@ ZEROS = (math.pi / 2, -math.pi / 2, math.pi)
 """Zeros that conventions differ by [rad]."""
 SCALES = tuple(0.25 * k for k in range(-14, 15))
 """Logarithms of the factors tried first for the positions of all joints."""
-PARALLEL = 1 - 1e-6
-"""Cosine of the angle between axes from which they are parallel [1]."""
 _TURNS = (2.0 * math.pi, DEGREE, 1.0 / DEGREE)
-_NEAR_UNIT = 0.05
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,7 @@ class Move:
 
     @property
     def repairs(self) -> tuple[Repair, ...]:
-        """The same as changes of the log; none for gravity, which is the robot's."""
+        """The fault's mending as changes of the log; none for gravity, which is the robot's."""
         return (*self.columns, *([ShiftTorque(self.late)] if self.late else []))
 
     @property
@@ -256,7 +253,8 @@ def _units(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     judge.expect(now.scaled(turning, q=math.exp(x)) for x in SCALES)
     best = minimum(loss, SCALES, 0.05, bound)
     if abs(best) > math.log(LEAST_GAIN):
-        named = (x for x in _TURNS if abs(math.log(x) - best) < _NEAR_UNIT)
+        # 0.05: logarithm of the factor by which a unit may be missed
+        named = (x for x in _TURNS if abs(math.log(x) - best) < 0.05)
         yield _scaled("position unit", now, turning, q=next(named, math.exp(best)))
 
 
@@ -328,7 +326,8 @@ def parallel_pairs(robot: Robot) -> list[tuple[int, int]]:
         axis = robot.before[link, :3, 2]
         near = next((g for g in groups if any(robot.own_links[k] == parent for k in g)), None)
         turns = robot.joint_types[joint] is JointType.REVOLUTE
-        if near and turns and abs(float(axis @ robot.after[parent, 2, :3])) > PARALLEL:
+        # 1 - 1e-6: cosine of the angle between axes from which they are parallel
+        if near and turns and abs(float(axis @ robot.after[parent, 2, :3])) > (1 - 1e-6):
             near.add(joint)
         elif turns:
             groups.append({joint})
@@ -337,10 +336,6 @@ def parallel_pairs(robot: Robot) -> list[tuple[int, int]]:
 
 Group = frozenset[int]
 """Joints, from 0, whose axes are turned around together."""
-MOST = 8
-"""Joints up to which every pattern is tried; of more, those of one, two and all of them."""
-_ROWS = 24
-_SAME = 1e-8
 
 
 @lru_cache(maxsize=8)
@@ -354,10 +349,12 @@ def invisible_groups(robot: Robot, gravity: tuple[float, ...]) -> tuple[Group, .
     robot = replace(robot, gravity=torch.tensor(gravity, dtype=torch.float64))
     n = robot.n
     generator = torch.Generator().manual_seed(0)
-    motion = torch.randn(3, _ROWS, n, generator=generator, dtype=torch.float64)
+    # 24: states, more than a robot's torques have unknowns a joint
+    motion = torch.randn(3, 24, n, generator=generator, dtype=torch.float64)
     bodies = torch.randn(10 * n, generator=generator, dtype=torch.float64)
     tau = regressor(robot, *motion) @ bodies
-    sizes = range(1, n + 1) if n <= MOST else (1, 2, n)
+    # 8: joints up to which every pattern is tried; of more, those of one, two and all of them
+    sizes = range(1, n + 1) if n <= 8 else (1, 2, n)
     tried = [frozenset(g) for size in sizes for g in itertools.combinations(range(n), size)]
     return tuple(g for g in tried if _explains(robot, motion, tau, g))
 
@@ -371,11 +368,12 @@ def _explains(robot: Robot, motion: torch.Tensor, tau: torch.Tensor, group: Grou
     size = np.linalg.norm(matrix, axis=0)
     matrix = matrix / np.where(size > 0, size, 1.0)
     left = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-11)[0]
-    return bool(np.linalg.norm(left) < _SAME * np.linalg.norm(target))
+    # 1e-8: rounding
+    return bool(np.linalg.norm(left) < 1e-8 * np.linalg.norm(target))
 
 
 def least_groups(groups: tuple[Group, ...]) -> list[Group]:
-    """Those that hold no other one."""
+    """The groups of joints that hold no other group."""
     return [g for g in groups if not any(other < g for other in groups)]
 
 

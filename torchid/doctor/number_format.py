@@ -11,10 +11,6 @@ from torchid.robot.model import joint_list
 _SIGNS = {False: (2.0**7, 2.0**15, 2.0**31), True: (2.0**10, 2.0**15)}
 """First negative number as a complement of two (8, 16, 32 bits), and bits that are a sign (servos'
 registers of load and speed)."""
-_WHOLE = 1e-3
-"""Deviation from whole numbers of the smallest difference."""
-_SMOOTHER = 0.5
-"""Share of a column's largest step that is left once its numbers have their signs."""
 
 
 def check_number_format(case: Case) -> Check:
@@ -49,7 +45,8 @@ def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:
     if len(levels) < 2:
         return None
     unit = 1.0 if (levels == np.round(levels)).all() else float(np.diff(levels).min())
-    if np.abs(levels / unit - np.round(levels / unit)).max() > _WHOLE:
+    # 1e-3: deviation from whole numbers of the smallest difference
+    if np.abs(levels / unit - np.round(levels / unit)).max() > 1e-3:
         return None
     step = np.abs(np.diff(x)).max()
     # The complement of a position is a whole turn.
@@ -58,6 +55,8 @@ def _read_unsigned(x: np.ndarray, position: bool) -> tuple[float, bool] | None:
             negative = x >= zero
             if x.max() < 2.0 * zero and 0 < negative.sum() < len(x):
                 mended = np.where(negative, zero - x if magnitude else x - 2.0 * zero, x)
-                if np.abs(np.diff(mended)).max() < _SMOOTHER * step:
+                # 0.5: share of a column's largest step that is left once its numbers have their
+                # signs
+                if np.abs(np.diff(mended)).max() < 0.5 * step:
                     return zero, magnitude
     return None

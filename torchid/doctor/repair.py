@@ -22,7 +22,7 @@ class Repair(ABC):
 
     @abstractmethod
     def apply(self, log: Log) -> Log:
-        """The changed copy."""
+        """The log as the repair changes it, a copy."""
 
     @abstractmethod
     def __str__(self) -> str: ...
@@ -48,7 +48,7 @@ class DropRows(Repair):
     why: str
 
     def apply(self, log: Log) -> Log:
-        """Without those rows."""
+        """The log without those rows."""
         keep = torch.ones(log.samples, dtype=torch.bool)
         keep[list(self.rows)] = False
         return log.select(keep)
@@ -175,7 +175,7 @@ class MappedColumns(Repair):
         return made
 
     def apply(self, log: Log) -> Log:
-        """With the columns mapped."""
+        """The log with its columns mapped."""
         return log.replace(**self.mapped(log.signals))
 
     def __str__(self) -> str:
@@ -269,7 +269,7 @@ class Unwrap(Repair):
     turn: float = 2.0 * np.pi
 
     def apply(self, log: Log) -> Log:
-        """With continuous angles."""
+        """The log with continuous angles."""
         q = log.q.clone()
         for rows in log.slices():
             for k in self.joints:
@@ -299,7 +299,7 @@ class Signed(Repair):
     magnitude: bool
 
     def apply(self, log: Log) -> Log:
-        """With the signs that the numbers had."""
+        """The log with the signs that its numbers had."""
         x = log.signals[self.signal]
         negative = self.zero - x if self.magnitude else x - 2.0 * self.zero
         columns = torch.zeros(log.n, dtype=torch.bool)
@@ -319,7 +319,7 @@ class DropSignal(Repair):
     signal: str
 
     def apply(self, log: Log) -> Log:
-        """Without it."""
+        """The log without the signal."""
         fields: dict[str, Any] = {self.signal: None}
         return log.replace(**fields)
 
@@ -357,7 +357,7 @@ class ScaleTime(Repair):
     factor: float
 
     def apply(self, log: Log) -> Log:
-        """With t in other units."""
+        """The log with t in other units."""
         return log.replace(t=log.t * self.factor)
 
     def __str__(self) -> str:
@@ -375,7 +375,7 @@ class RejoinTime(Repair):
     steps: tuple[int, ...]
 
     def apply(self, log: Log) -> Log:
-        """With a clock that runs on."""
+        """The log with a clock that runs on."""
         t = log.t.clone()
         for rows in log.slices():
             step = t[rows].diff()
@@ -410,7 +410,7 @@ class SplitRuns(Repair):
     rows: tuple[int, ...]
 
     def apply(self, log: Log) -> Log:
-        """With more trajectories."""
+        """The log in more trajectories."""
         new = log.trajectory.diff(prepend=log.trajectory[:1]) != 0
         new[list(self.rows)] = True
         return log.replace(trajectory=new.long().cumsum(0), names=())
@@ -424,7 +424,7 @@ class EvenTime(Repair):
     """Every trajectory's stamps spread evenly between its first and its last."""
 
     def apply(self, log: Log) -> Log:
-        """With a uniform clock."""
+        """The log with a uniform clock."""
         t = log.t.clone()
         for rows in log.slices():
             count = rows.stop - rows.start

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchid.doctor.check import Check, said
+from torchid.doctor.check import Check, worded_check
 from torchid.doctor.cone import Fit, Normal, fit, shares
 from torchid.doctor.hypothesis import FEWEST, Hypothesis, Judge
 from torchid.statistics.criteria import CLEAR_GAIN
@@ -19,10 +19,6 @@ PIECES = 4
 _RUN = np.arange(PIECES)
 LEAST_ROWS = 10
 """... of this many rows or more."""
-STEADY = 2.0
-"""Largest over smallest mass of a load, a part left out in turn, that is one load."""
-MOST_LOOKED = 3
-"""Runs that a load explains best, which alone are looked at with parts left out."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +54,13 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
             load = _Own(last, sign * body)
             gain = _gain(parts, cone, load, plain)
             looked += [(gain, place, parts, load)] if gain > CLEAR_GAIN else []
-    for _, place, parts, load in sorted(looked, key=lambda x: -x[0])[:MOST_LOOKED]:
+    # 3: runs that a load explains best, which alone are looked at with parts left out
+    for _, place, parts, load in sorted(looked, key=lambda x: -x[0])[:3]:
         found = _contradicts(parts, cone, names[runs[place]], load)
         # One that agrees with others by itself is not what contradicts: one of these is.
         if found is not None and _contradicts_most(normal, place, len(runs), cone, load):
             return [found]
-    return [said("runs", "fine", count=len(runs))]
+    return [worded_check("runs", "fine", count=len(runs))]
 
 
 def _gain(parts: Normal, cone: np.ndarray, load: _Own, plain: Fit) -> float:
@@ -104,14 +101,15 @@ def _contradicts(parts: Normal, cone: np.ndarray, name: str, load: _Own) -> Chec
     loaded, values = _left_out(parts, cone, load)
     mass = np.abs(values[:, 0])
     gain = without - loaded
-    if mass.max() > STEADY * mass.min() or gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
+    # 2.0: largest over smallest mass of a load, a part left out in turn, that is one load
+    if mass.max() > 2.0 * mass.min() or gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
         return None
     gain = _left_out(parts, cone, _Own(rubbing, both))[0] - loaded
     if gain.min() <= 0 or gain.mean() < CLEAR_GAIN:
         return None
     left = 100 * np.exp((loaded - without).mean() / max(1, int((parts.spread > 0).sum())))
     words = {"word": "more" if values[0, 0] > 0 else "less", "mass": mass.mean(), "left": left}
-    return said("runs", "wrong", estimate=float(values[:, 0].mean()), run=name, **words)
+    return worded_check("runs", "wrong", estimate=float(values[:, 0].mean()), run=name, **words)
 
 
 def _left_out(parts: Normal, cone: np.ndarray, own: _Own) -> tuple[np.ndarray, np.ndarray]:

@@ -13,17 +13,10 @@ from torchid.typing import Bool, Float, Int, Tensor
 
 BLOCKS = 8
 """Blocks of time that are held out in turn; longer than any filter's or friction's memory."""
-SLOW = 1e-3
-"""The direction of motion is taken seriously from here [rad/s or m/s]."""
 MOVING = 0.5
 """Smoothed direction of motion from which a joint moves [1]."""
-MOST = 1600
-"""Samples kept, spread evenly."""
-_LOOK_HZ = 15.0
 _CUTOFF_HZ = (2.0, 12.0)
-_MOTION_SHARE = 0.98
 _PER_PERIOD = 6.0
-_FEWEST = 40
 
 
 @dataclass(frozen=True)
@@ -86,8 +79,8 @@ class Samples:
     loop: float = 0.0
 
     def looped(self, share: float) -> "Samples":
-        """The same, with a loop over position in the place of the direction of motion: dry friction
-        that builds up after each reversal (presliding, play, a brake's band)."""
+        """These samples, with a loop over position in the place of the direction of motion: dry
+        friction that builds up after each reversal (presliding, play, a brake's band)."""
         made = _samples(self.even, share)
         assert isinstance(made, Samples)
         return replace(made, signals=self.signals, names=self.names)
@@ -119,13 +112,15 @@ def samples(log: Log) -> Samples | str:
 def _samples(even: Log, loop: float = 0.0) -> Samples | str:
     """Rows of a log on a uniform grid; `loop` as of `Samples`."""
     parts = list(zip(even.trajectories(), even.rates, strict=True))
-    usable = [(p, r) for p, r in parts if p.samples > _FEWEST]
+    fewest = 40
+    usable = [(p, r) for p, r in parts if p.samples > fewest]
     if not usable:
-        return f"no trajectory has more than {_FEWEST} samples"
+        return f"no trajectory has more than {fewest} samples"
     cutoff = max(_cutoff(p, r) for p, r in usable)
     total = sum(p.samples / r for p, r in usable)
     lengths, ways = 0.5 * loop * (even.q.amax(0) - even.q.amin(0)), least_way(even)
-    made = [(_stretch(p, r, cutoff, MOST / total, lengths, ways), p.names[0]) for p, r in usable]
+    # 1600: samples kept, spread evenly
+    made = [(_stretch(p, r, cutoff, 1600 / total, lengths, ways), p.names[0]) for p, r in usable]
     kept = [s for s, _ in made if s is not None]
     runs = [torch.full_like(s.t[s.inside], int(name.partition("[")[0])) for s, name in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)
@@ -155,9 +150,11 @@ def _cutoff(log: Log, rate: float) -> float:
     dq = central_difference(log.q.T, rate)
     power = torch.fft.rfft(dq - dq.mean(-1, keepdim=True)).abs() ** 2
     frequency = torch.fft.rfftfreq(dq.shape[-1], 1.0 / rate, dtype=dq.dtype)
-    power = power[:, frequency < min(_LOOK_HZ, 0.3 * rate)]
+    # 15.0: no arm's motion is faster [Hz]
+    power = power[:, frequency < min(15.0, 0.3 * rate)]
     share = power / power.sum(-1, keepdim=True).clamp(min=1e-300)
-    top = float(frequency[int((share.mean(0).cumsum(0) < _MOTION_SHARE).sum())])
+    # 0.98: share of the motion's power that lies below the edge
+    top = float(frequency[int((share.mean(0).cumsum(0) < 0.98).sum())])
     low, high = _CUTOFF_HZ
     return min(max(4.0 * top, low), high, 0.2 * rate)
 
@@ -197,7 +194,8 @@ def _stretch(
 def direction_of(dq: Tensor, dim: int = -1) -> Tensor:
     """Direction of motion, -1 to 1, from velocities [rad/s or m/s] along a dimension."""
     fast = torch.quantile(dq.abs(), 0.95, dim=dim, keepdim=True)
-    return torch.tanh(dq / (0.02 * fast).clamp(min=SLOW))
+    # 1e-3: the direction of motion is taken seriously from here [rad/s or m/s]
+    return torch.tanh(dq / (0.02 * fast).clamp(min=1e-3))
 
 
 def _loop(q: Float[Tensor, "n T"], lengths: Float[Tensor, " n"]) -> Float[Tensor, "n T"]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from torchid.doctor.cone import MODEL
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
 from torchid.doctor.moves import Group, Move, all_moves, alternatives, invisible_groups, joint_sign
 from torchid.statistics.criteria import (
@@ -17,15 +18,11 @@ from torchid.statistics.criteria import (
 
 _LOOK = CLEAR_GAIN + 0.1
 """Moves that are not worse by more with another fit's weights are fitted properly."""
-FINALISTS = 5
-HELPED = 1.1
-"""Ratio of errors from which on a fault's mending has helped a joint."""
-MOST_FAULTS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """A fault that won.
+class FoundFault:
+    """A fault whose mending explains the torque best.
 
     Attributes:
         move: the fault.
@@ -45,7 +42,8 @@ class Found:
     @property
     def helped(self) -> np.ndarray:
         """(n,) whether mending lowers the error of each joint."""
-        return self.before > HELPED * self.after
+        # 1.1: ratio of errors from which on a fault's mending has helped a joint
+        return self.before > 1.1 * self.after
 
     @property
     def needed(self) -> bool:
@@ -56,16 +54,16 @@ class Found:
 
 @dataclass(frozen=True)
 class Search:
-    """What the search ended with.
+    """Faults that a search ended with, and the errors that they leave.
 
     Attributes:
-        found: faults in the order in which they were found.
+        faults: in the order in which they were found.
         final: the fit with all of them mended.
         held_out: (B, n) its held-out errors.
         costs: by how much the sum of log errors rises with each move from there, in sample.
     """
 
-    found: tuple[Found, ...]
+    faults: tuple[FoundFault, ...]
     final: Score
     held_out: np.ndarray
     costs: tuple[tuple[float, Move], ...]
@@ -83,22 +81,34 @@ class Search:
         return bool(2 * (self.left[live] < UNEXPLAINED).sum() > live.sum())
 
 
-def search(judge: Judge, start: Hypothesis, fixes: Collection[str] = ()) -> Search:
+def search(
+    judge: Judge, start: Hypothesis, fixes: Collection[str] = (), *, first: bool = False
+) -> Search:
     """Mend one fault after the other as long as one wins clearly on time held out.
 
-    Half a turn of one joint may do what axes turned around do: another zero is said only where
-    the log is not explained as well without one.
+    Half a turn of one joint may do what axes turned around do, and an axis that is not vertical any
+    more has a pendulum's torque where a cable bends: another zero is said only where the log is not
+    explained as well without one, nor by joints that have springs.
 
     Args:
         judge: of the log.
         start: the log at its word.
         fixes: names of moves that are taken where others do as well.
+        first: leave out what every move would cost, where nothing can win: bodies explain the log
+            so well already that no fault's mending could gain enough.
     """
+    if first:
+        base = judge.score(start)
+        if base.loss - len(base.errors) * np.log(MODEL) < CLEAR_GAIN:
+            return Search((), base, judge.held_out(start), ())
     result = _greedy(judge, start, fixes)
-    if any(f.move.kind == "zero" for f in result.found):
+    zeros = [f.move for f in result.faults if f.move.kind == "zero"]
+    if zeros:
         plain = _greedy(judge, start, fixes, zeros=False)
-        if _loss(plain.held_out) < _loss(result.held_out) + CLEAR_GAIN:
-            return plain
+        sprung = Judge(judge.robot, judge.samples, springs=True)
+        gains = (_loss(sprung.held_out(m.before)) - _loss(sprung.held_out(m.after)) for m in zeros)
+        as_well = _loss(plain.held_out) < _loss(result.held_out) + CLEAR_GAIN
+        return plain if as_well or min(gains) < CLEAR_GAIN else result
     return result
 
 
@@ -107,7 +117,7 @@ def _greedy(
 ) -> Search:
     now = start
     held = judge.held_out(now)
-    found: list[Found] = []
+    found: list[FoundFault] = []
     while True:
         base = judge.score(now)
         # Moves of one motion after another, whose regressors are the same.
@@ -129,7 +139,8 @@ def _greedy(
             looked.append((loss - base.loss, m))
         costs = tuple(sorted(looked, key=lambda x: x[0]))
         best = _best(judge, held, costs, fixes)
-        if best is None or len(found) == MOST_FAULTS:
+        # 6: faults of one log at most
+        if best is None or len(found) == 6:
             merged = _turned_together(judge, start, found, fixes)
             end = merged[-1].move.after if merged else now
             return Search(tuple(merged), judge.score(end), held, costs)
@@ -138,8 +149,8 @@ def _greedy(
 
 
 def _turned_together(
-    judge: Judge, start: Hypothesis, found: Sequence[Found], fixes: Collection[str]
-) -> Sequence[Found]:
+    judge: Judge, start: Hypothesis, found: Sequence[FoundFault], fixes: Collection[str]
+) -> Sequence[FoundFault]:
     """The faults with all turned axes as one, of the fewest axes or as chosen; its rivals are the
     groups that mirrored bodies explain as well."""
     turned = [f for f in found if f.move.kind == "joint sign"]
@@ -153,7 +164,7 @@ def _turned_together(
     chosen = next((m for m in others if m.name in fixes), first)
     rivals = tuple(m for m in (first, *others) if m is not chosen)
     gain, last = sum(f.gain for f in turned), turned[-1]
-    out = [Found(chosen, turned[0].before, last.after, gain, last.blocks, rivals)]
+    out = [FoundFault(chosen, turned[0].before, last.after, gain, last.blocks, rivals)]
     # The others follow from there.
     for f in found:
         if f not in turned:
@@ -163,11 +174,12 @@ def _turned_together(
 
 def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
-) -> tuple[Found, np.ndarray] | None:
+) -> tuple[FoundFault, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
     clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN]
     tried = []
-    for cost, m in clear[:FINALISTS]:
+    # 5: best moves that are looked at closely
+    for cost, m in clear[:5]:
         errors = judge.held_out(m.after)
         gains = _log(held) - _log(errors)
         tried.append((_loss(errors), m, errors, gains, cost))
@@ -188,7 +200,7 @@ def _best(
     tied += [x for x in tried if x[0] < loss + CLEAR_GAIN and x[-1] < cost]
     rivals = tuple({x[1].name: x[1] for x in tied if x[1].name != move.name}.values())
     before, after = rms(held), rms(errors)
-    return Found(move, before, after, gain, (agreeing, judged), rivals), errors
+    return FoundFault(move, before, after, gain, (agreeing, judged), rivals), errors
 
 
 def rms(errors: np.ndarray) -> np.ndarray:
@@ -196,6 +208,11 @@ def rms(errors: np.ndarray) -> np.ndarray:
     seen = np.isfinite(errors)
     mean = np.where(seen, errors, 0.0) ** 2
     return np.where(seen.any(0), np.sqrt(mean.sum(0) / np.maximum(seen.sum(0), 1)), 1.0)
+
+
+def percent(share: float) -> str:
+    """Of a torque's spread: `56 %`, `2.3 %`, the same wherever a log's examination says it."""
+    return f"{100 * share:.{int(share < 0.1)}f} %"
 
 
 def _loss(errors: np.ndarray) -> float:

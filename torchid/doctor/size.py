@@ -9,7 +9,7 @@ import torch
 from msgspec.structs import replace
 from scipy.optimize import nnls
 
-from torchid.doctor.check import Check, Choice, Verdict, judged, said, with_choices
+from torchid.doctor.check import Check, Choice, Verdict, judged, with_choices, worded_check
 from torchid.doctor.cone import reach_of, shares
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.repair import scaled
@@ -19,19 +19,9 @@ from torchid.robot.model import JointType
 from torchid.statistics.criteria import CAD_SIZE, CLEAR_GAIN, ODD_SIZE, OTHER_UNIT, TOLD
 from torchid.statistics.jackknife import fit_statistics
 
-BELOW_LIMIT = 5e-3
-"""Share of its limit that an arm's largest torque is at least."""
 DENSITY = (0.03, 250.0)
 """Mass that the largest torque holds at arm's length, over the cube of the reach [kg/m^3]: 1 to 60
 on arms from a desk to a foundry, a thousand times that in N mm."""
-ALONG = 0.9
-"""Cosine of the angle from a joint's axis from which a moment is its torque [1]."""
-_SHOWN = 0.1
-"""Spread of a joint's nominal torque, at the size that fits, over that of the measured one: 0.5 and
-more on arms, but of wrists that no parameter moves."""
-_LEAST_REACH = 0.2
-MOST_OF_LIMIT = 2.0
-"""Peaks above a rated torque."""
 _GAINS = "(--gain K1,K2,.. or Log.with_torque) [N m/A]"
 _CHECK_GAINS = f"drive gains for currents {_GAINS}; multiply motor torque by the gear ratio"
 _SMALL_UNITS = {"torque unit mNm": 1e3, "torque unit Ncm": 100.0}
@@ -79,7 +69,9 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
         if x[:, 0].std() == 0.0 or owner.max() < 2:
             continue
         values = np.linalg.lstsq(x, y, rcond=1e-9)[0]
-        if abs(values[0]) * x[:, 0].std() < _SHOWN * y.std():
+        # 0.1: spread of a joint's nominal torque, at the size that fits, over that of the measured
+        # one: 0.5 and more on arms, but of wrists that no parameter moves
+        if abs(values[0]) * x[:, 0].std() < 0.1 * y.std():
             continue
         left = torch.from_numpy(y - x @ values)
         found = fit_statistics(torch.from_numpy(x), left, torch.from_numpy(owner))
@@ -108,7 +100,8 @@ def other_moments(judge: Judge, hypothesis: Hypothesis, joints: Collection[int])
             slope, *rest = np.linalg.lstsq(x, tau[use, j], rcond=1e-9)[0]
             left = (tau[use, j] - x @ [slope, *rest]).std() / tau[use, j].std()
             size = abs(math.log(max(abs(slope), 1e-300)))
-            if abs(axis[k]) < ALONG and left < TOLD and size < math.log(CAD_SIZE):
+            # 0.9: cosine of the angle from a joint's axis from which a moment is its torque
+            if abs(axis[k]) < 0.9 and left < TOLD and size < math.log(CAD_SIZE):
                 found[j] = name
     return found
 
@@ -139,14 +132,14 @@ def check_size(
         # Currents without gains; nominal parameters suggest some.
         text = "the log has currents [A] and no drive gains"
         if robot.parameters is None:
-            return said("torque unit", "doubtful current", text=text, gains="K1,K2,..")
+            return worded_check("torque unit", "doubtful current", text=text, gains="K1,K2,..")
         slopes = nominal_slopes(judge, hypothesis)
         clear = [(slopes.joints[k], 1.0 / slopes.value[k]) for k in np.flatnonzero(slopes.clear)]
         if clear:
             guess = ", ".join(f"{j + 1}: {gain:.3g}" for j, gain in clear)
             text += f"; nominal parameters suggest [N m/A] {guess}"
         every = ",".join(f"{gain:.4g}" for _, gain in clear)
-        return said(
+        return worded_check(
             "torque unit",
             "doubtful current",
             joints=[j for j, _ in clear],
@@ -168,7 +161,7 @@ def _against_nominal(judge: Judge, hypothesis: Hypothesis) -> Check | None:
         return None
     text = f"measured torque is {overall:.3g} times nominal (median of the joints)"
     interval = tuple(zip(slopes.low.tolist(), slopes.high.tolist(), strict=True))
-    base = said(
+    base = worded_check(
         "torque unit", "fine", joints=slopes.joints, estimate=tuple(slopes.value.tolist()),
         interval=interval, text=text,
     )  # fmt: skip
@@ -210,7 +203,9 @@ def _against_limits(judge: Judge, log: Log, fixes: Collection[str]) -> Check | N
         return None
     share = float((log.tau.abs().amax(0) / limits.abs().amax(-1).clamp(min=1e-9)).max())
     text = f"the largest torque is {share:.3g} times its limit"
-    plausible = (BELOW_LIMIT, MOST_OF_LIMIT)
+    # 5e-3: share of its limit that an arm's largest torque is at least
+    # 2.0: peaks above a rated torque
+    plausible = (5e-3, 2.0)
     return _by_size(judge, text, share, plausible, fixes, largest=OTHER_UNIT)
 
 
@@ -221,7 +216,8 @@ def _plain_sense(judge: Judge, log: Log, hypothesis: Hypothesis, fixes: Collecti
     gravity = float(robot.gravity.norm())
     reach = reach_of(robot)
     turning = [k for k, kind in enumerate(robot.joint_types) if kind is JointType.REVOLUTE]
-    if gravity == 0.0 or reach < _LEAST_REACH or not turning or not judge.live(hypothesis):
+    # 0.2: reach below which an arm is none that stands on a desk [m]
+    if gravity == 0.0 or reach < 0.2 or not turning or not judge.live(hypothesis):
         return judged(
             "torque unit",
             "cannot tell",
@@ -284,7 +280,7 @@ def check_nominal(judge: Judge, log: Log, hypothesis: Hypothesis) -> list[Check]
     sizes = ", ".join(
         f"{slopes.value[k]:.3g} ({slopes.low[k]:.3g} to {slopes.high[k]:.3g})" for k in odd
     )
-    check = said(
+    check = worded_check(
         "torque against nominal",
         "doubtful",
         joints=[slopes.joints[k] for k in odd],

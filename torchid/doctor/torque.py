@@ -5,42 +5,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from torchid.doctor.case import Case
-from torchid.doctor.check import Check, said
+from torchid.doctor.check import Check, worded_check
 from torchid.log.channels import odd_channels
 from torchid.log.checks import NO_TORQUE, least_way
 from torchid.statistics.spectrum import density
 from torchid.typing import Float, Tensor
 
-PILE = 0.004
-"""Share of the samples that may lie exactly at the largest torque."""
 RUN = 4
 """Samples in a row at the largest torque, over those at any other, that make it a level."""
-DISTINCT = 0.9
-"""Share of the values that occur once, where a signal has no steps or held values."""
-COARSE = 0.1
-"""Largest step between torque values, as a share of their standard deviation."""
-SENSED = 1e-5
-"""Noise as a share of the torque's spread below which no sensor is: 1e-3 to 0.7 in the logs of nine
-arms."""
-FEWEST = 256
-"""Samples of which a spectrum is taken at least."""
-STRAIGHT = 0.4
-"""Share of moving samples on the straight line between their neighbours: every second one, where
-twice as many were made of a log."""
 
 
 def check_torque(case: Case) -> Check:
     """Columns of torque that are missing, zero or constant."""
     signal, n = case.torque, case.log.n
     if signal is None:
-        return said("torque columns", "wrong" if case.log.u is None else "cannot tell")
+        return worded_check("torque columns", "wrong" if case.log.u is None else "cannot tell")
     dead = (_span(signal) < NO_TORQUE).nonzero().flatten().tolist()
     if dead:
         verdict = "wrong dead" if len(dead) == n else "doubtful dead"
         values = ", ".join(f"{x:.4g}" for x in signal[0, dead].tolist())
-        return said("torque columns", verdict, joints=dead, values=values)
+        return worded_check("torque columns", verdict, joints=dead, values=values)
     kind = "torque" if case.log.tau is not None else "current"
-    return said("torque columns", "fine", kind=kind, n=n)
+    return worded_check("torque columns", "fine", kind=kind, n=n)
 
 
 def check_silent_runs(case: Case) -> Sequence[Check]:
@@ -54,7 +40,7 @@ def check_silent_runs(case: Case) -> Sequence[Check]:
         silent = (varies & moves & (_span(signal[rows]) < NO_TORQUE)).nonzero().flatten().tolist()
         if silent:
             values = ", ".join(f"{x:.4g}" for x in signal[rows][0, silent].tolist())
-            return [said("runs", "wrong silent", joints=silent, run=name, values=values)]
+            return [worded_check("runs", "wrong silent", joints=silent, run=name, values=values)]
     return ()
 
 
@@ -63,7 +49,7 @@ def check_channels(case: Case) -> Sequence[Check]:
     odd = odd_channels(case.log, case.robot.limits.effort)
     joints = sorted({k for o in odd for k in o.joints})
     text = "; ".join(map(str, odd))
-    return [said("channels", "doubtful", joints=joints, text=text)] if odd else ()
+    return [worded_check("channels", "doubtful", joints=joints, text=text)] if odd else ()
 
 
 def _span(x: Float[Tensor, "T n"]) -> Float[Tensor, " n"]:
@@ -79,7 +65,8 @@ def check_saturation(case: Case) -> Sequence[Check]:
     for k, x in enumerate(case.torque.T.numpy()):
         for sign, word in ((1.0, "largest"), (-1.0, "smallest")):
             share, level = _pile(sign * x)
-            if share > PILE:
+            # 0.004: share of the samples that may lie exactly at the largest torque
+            if share > 0.004:
                 joints.append(k)
                 levels.append(float(sign * level))
                 evidence.append(
@@ -87,9 +74,9 @@ def check_saturation(case: Case) -> Sequence[Check]:
                     f"{sign * level:.4g}"
                 )
     if not joints:
-        return [said("saturation", "fine")]
+        return [worded_check("saturation", "fine")]
     text = "; ".join(evidence[:4])
-    return [said("saturation", "wrong", joints=joints, estimate=tuple(levels), text=text)]
+    return [worded_check("saturation", "wrong", joints=joints, estimate=tuple(levels), text=text)]
 
 
 def _pile(x: np.ndarray) -> tuple[float, float]:
@@ -103,7 +90,8 @@ def _pile(x: np.ndarray) -> tuple[float, float]:
     changes = np.flatnonzero(np.diff(np.r_[0, at.astype(np.int8), 0]))
     starts, ends = changes[::2], changes[1::2]
     others = x[~at]
-    if len(starts) >= RUN and len(np.unique(others)) > DISTINCT * len(others):
+    # 0.9: share of the values that occur once, where a signal has no steps or held values
+    if len(starts) >= RUN and len(np.unique(others)) > 0.9 * len(others):
         return float(at.mean()), level  # only its largest value ever comes back
     # Torque that comes at a lower rate holds every value for as long, its largest too.
     longest = int((ends - starts).max())
@@ -141,12 +129,13 @@ def check_resolution(case: Case) -> Sequence[Check]:
     if case.torque is None:
         return ()
     shares = [_coarseness(x) for x in case.torque.T.numpy()]
-    coarse = tuple(k for k, share in enumerate(shares) if share > COARSE)
+    # 0.1: largest step between torque values, as a share of their standard deviation
+    coarse = tuple(k for k, share in enumerate(shares) if share > 0.1)
     if not coarse:
-        return [said("resolution", "fine", most=100 * max(shares))]
+        return [worded_check("resolution", "fine", most=100 * max(shares))]
     steps = ", ".join(f"{100 * shares[k]:.0f} % of its spread (joint {k + 1})" for k in coarse)
     own = tuple(shares[k] for k in coarse)
-    return [said("resolution", "doubtful", joints=coarse, estimate=own, steps=steps)]
+    return [worded_check("resolution", "doubtful", joints=coarse, estimate=own, steps=steps)]
 
 
 def _coarseness(x: np.ndarray) -> float:
@@ -164,8 +153,10 @@ def check_content(case: Case) -> Sequence[Check]:
     rows = max(case.log.slices(), key=lambda r: r.stop - r.start)
     rate, x = 1 / float(case.log.t[rows].diff().median()), case.torque[rows].numpy()
     x = x[:, np.ptp(x, 0) > 0]
-    if len(x) < FEWEST or not x.shape[1]:
-        return [said("content", "cannot tell", fewest=FEWEST)]
+    # Samples of which a spectrum is taken at least
+    fewest = 256
+    if len(x) < fewest or not x.shape[1]:
+        return [worded_check("content", "cannot tell", fewest=fewest)]
     bends, steps = np.abs(np.diff(x, 2, axis=0)), np.abs(np.diff(x, axis=0))[1:]
     straight, share = bends < 1e-6 * steps, 0.0
     if straight.any():
@@ -173,16 +164,21 @@ def check_content(case: Case) -> Sequence[Check]:
         coarse = np.array([_resolution(column) for column in x.T])
         straight = straight[steps > 20 * coarse]
         share = float(straight.mean()) if len(straight) else 0.0
-    if share >= STRAIGHT:
-        return [said("content", "doubtful straight", estimate=share, percent=100 * share)]
+    # 0.4: share of moving samples on the straight line between their neighbours: every second one,
+    # where twice as many were made of a log
+    if share >= 0.4:
+        return [worded_check("content", "doubtful straight", estimate=share, percent=100 * share)]
     # Density of the steps, whose own gain, none at rest, is taken out: where it is that of the
     # sensor's noise.
-    frequency, power = (x[1:] for x in density(np.diff(x, axis=0), rate, FEWEST // 2))
+    frequency, power = (x[1:] for x in density(np.diff(x, axis=0), rate, fewest // 2))
     power = power / (2 * np.sin(np.pi * frequency / rate))[:, None] ** 2
     top = np.median(power[frequency > 0.8 * frequency[-1]], 0)
     noise = np.sqrt(top * rate / 2) / x.std(0).clip(1e-300)
-    if float(noise.max()) > SENSED:
-        return [said("content", "fine", least=100 * float(noise.min()))]
+    # Noise as a share of the torque's spread below which no sensor is: 1e-3 to 0.7 in the logs of
+    # nine arms
+    sensed = 1e-5
+    if float(noise.max()) > sensed:
+        return [worded_check("content", "fine", least=100 * float(noise.min()))]
     held = (power.cumsum(0) / power.sum(0).clip(1e-300)).min(1)
-    ends = float(frequency[:-1][held[:-1] < 1 - SENSED**2].max(initial=0.0))
-    return [said("content", "doubtful", estimate=ends, ends=ends, nyquist=rate / 2)]
+    ends = float(frequency[:-1][held[:-1] < 1 - sensed**2].max(initial=0.0))
+    return [worded_check("content", "doubtful", estimate=ends, ends=ends, nyquist=rate / 2)]

@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import linear_sum_assignment
 
 from torchid.doctor.case import Case
-from torchid.doctor.check import Check, Choice, judged, said, with_choices
+from torchid.doctor.check import Check, Choice, judged, with_choices, worded_check
 from torchid.doctor.repair import (
     Differentiate,
     DropSignal,
@@ -26,7 +26,7 @@ from torchid.log.checks import (
     own_units,
     velocity_agreement,
 )
-from torchid.log.filtering import ZeroPhaseFilter, central_difference
+from torchid.log.filtering import central_difference, lateness
 from torchid.log.model import Log
 from torchid.log.sampling import resample
 from torchid.robot.model import joint_list
@@ -36,9 +36,6 @@ LATE_SHARE = 0.05
 """Share of dq that a lag makes wrong from which on it is worth mending, and"""
 OTHER_SHARE = 0.3
 """... that anything else does."""
-_CLOSE = 0.9
-"""Correlation of q with the integral of another joint's dq from which the two are taken for one."""
-_BAND_HZ = 10.0
 
 
 def check_velocity(case: Case) -> Check:
@@ -120,11 +117,13 @@ def _exchanged(log: Log) -> tuple[tuple[int, ...], dict[int, str]]:
     extent = log.q.amax(0) - log.q.amin(0)
     alike = torch.where(extent[:, None] < least_way(log)[:, None], 0.0, matrix.abs())
     best = linear_sum_assignment(-alike.numpy())[1].tolist()
+    # 0.9: correlation of q with the integral of another joint's dq from which the two are taken for
+    # one
     wrong = {
         k: f"dq{j + 1} is the derivative of q{k + 1} (correlation {alike[k, j]:.3f}; of dq{k + 1}: "
         f"{float(matrix[k, k]):.2f})"
         for k, j in enumerate(best)
-        if j != k and float(alike[k, j]) > max(_CLOSE, float(alike[k, k]) + 0.1)
+        if j != k and float(alike[k, j]) > max(0.9, float(alike[k, k]) + 0.1)
     }
     # Only a permutation of the joints that are clearly exchanged among themselves.
     if sorted(wrong) != sorted(best[k] for k in wrong):
@@ -165,7 +164,7 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
         Choice.by("time scale", ScaleTime(1.0 / ratio)),
         Choice.by("velocity scale", scaled(("dq",), (1.0 / ratio,) * n)),
     ]
-    return said("velocity", "wrong rate", estimate=ratio, ratio=ratio), choices
+    return worded_check("velocity", "wrong rate", estimate=ratio, ratio=ratio), choices
 
 
 def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
@@ -175,15 +174,9 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     sums = []
     for part, rate in zip(even.trajectories(), even.rates, strict=True):
         assert part.dq is not None
-        low = ZeroPhaseFilter(rate, min(_BAND_HZ, 0.3 * rate))
-        reference = low.apply(central_difference(part.q.T, rate))
-        signal = low.apply(part.dq.T)
-        edge = min(round(rate / low.cutoff), part.samples // 4)
-        middle = slice(edge, part.samples - edge)
-        slope = central_difference(signal, rate)[:, middle]
-        difference = (reference - signal)[:, middle]
-        products = (difference * slope, slope**2, reference[:, middle] ** 2, difference**2)
-        sums.append(torch.stack([x.sum(-1) for x in products]))
+        slope = central_difference(part.q.T, rate)
+        # 10.0: band in which both are compared [Hz]
+        sums.append(lateness(slope, part.dq.T, rate, min(10.0, 0.3 * rate)))
     numerator, denominator, size, gap = torch.stack(sums).sum(0)
     extent = even.q.amax(0) - even.q.amin(0)
     active = (size > 1e-3 * size.max()) & (extent > least_way(even))
@@ -195,24 +188,12 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     return lag, float(share.max()), tuple(worst.tolist())
 
 
-LATEST_S = 0.5
-"""Longest lag that is looked for [s]."""
-EVEN = 0.1
-"""A joint whose motion per command differs from 1 by more is in another unit, or held back [1]."""
-MOVES = 0.02
-"""A command that varies by less moves nothing [rad or m]."""
-
-
-STIRS = 0.01
-"""What varies by less, as a standard deviation within motions, does not move [rad]."""
 _COMMAND_UNITS = {
     "degrees": DEGREES,
     "milliradians": 1e3,
     "counts of an encoder, 4096 a turn": 4096 / (2 * math.pi),
 }
 """What one radian is in units that commands are sent in."""
-_NEAR_UNIT = 1.5
-"""Factor within which a ratio is that of two units; none of them are nearer to each other."""
 
 
 def check_command_unit(case: Case) -> Sequence[Check]:
@@ -225,18 +206,24 @@ def check_command_unit(case: Case) -> Sequence[Check]:
         torch.cat([x[rows] - x[rows].mean(0) for rows in log.slices()]).square().mean(0).sqrt()
         for x in (log.u, log.q)
     ]
-    moves = (spread[0] > STIRS) & (spread[1] > STIRS)
+    # What varies by less, as a standard deviation within motions, does not move [rad]
+    stirs = 0.01
+    moves = (spread[0] > stirs) & (spread[1] > stirs)
     ratio = float((spread[0] / spread[1])[moves].median()) if bool(moves.any()) else 1.0
+    # Factor within which a ratio is that of two units; none of them are nearer to each other
+    near_unit = 1.5
     for unit, factor in _COMMAND_UNITS.items():
         for what, key, other, value in (
             ("commands", "u", "q", ratio),
             ("positions", "q", "u", 1 / ratio),
         ):
-            if factor / _NEAR_UNIT < value < factor * _NEAR_UNIT:
+            if factor / near_unit < value < factor * near_unit:
                 words = what, other, value
-                check = said("command unit", "wrong", *words, estimate=value, key=key, in_unit=unit)
+                check = worded_check(
+                    "command unit", "wrong", *words, estimate=value, key=key, in_unit=unit
+                )
                 return [check.mended_by(scaled((key,), (1 / factor,) * log.n))]
-    return [said("command unit", "fine")]
+    return [worded_check("command unit", "fine")]
 
 
 def check_commands(case: Case) -> Sequence[Check]:
@@ -245,12 +232,14 @@ def check_commands(case: Case) -> Sequence[Check]:
     if log.u is None:
         return ()
     step = float(torch.cat([log.t[rows].diff() for rows in log.slices()]).median())
-    joints = (log.u.amax(0) - log.u.amin(0) > MOVES).nonzero().flatten().tolist()
+    # 0.02: a command that varies by less moves nothing [rad or m]
+    joints = (log.u.amax(0) - log.u.amin(0) > 0.02).nonzero().flatten().tolist()
     if not joints or not step > 0:
         return [judged("commands", "cannot tell", "no command moves a joint")]
     follow = {k: _follow(log, log.u[:, k].numpy(), k, step) for k in joints}
     late = ", ".join(f"joint {k + 1} {1e3 * lag:.0f} ms" for k, (lag, _) in follow.items())
-    odd = {k: gain for k, (_, gain) in follow.items() if abs(gain - 1) > EVEN}
+    # 0.1: a joint whose motion per command differs from 1 by more is in another unit, or held back
+    odd = {k: gain for k, (_, gain) in follow.items() if abs(gain - 1) > 0.1}
     evidence = f"positions follow the commands late by {late}"
     if odd:
         shares = ", ".join(f"{gain:.2f}" for gain in odd.values())
@@ -258,14 +247,15 @@ def check_commands(case: Case) -> Sequence[Check]:
         evidence += f"; {joint_list(list(odd))} {make} command"
     lags = tuple(lag for lag, _ in follow.values())
     verdict = "doubtful" if odd else "fine"
-    return [said("commands", verdict, joints=joints, estimate=lags, text=evidence)]
+    return [worded_check("commands", verdict, joints=joints, estimate=lags, text=evidence)]
 
 
 def _follow(log: Log, u: np.ndarray, k: int, step: float) -> tuple[float, float]:
     """The delay at which the command (T,) fits joint k best, and the slope there, in motions."""
     best = math.inf, 0.0, 0.0
     parts = [(u[rows], log.q[rows, k].numpy()) for rows in log.slices()]
-    for shift in range(round(LATEST_S / step) + 1):
+    # 0.5: longest lag that is looked for [s]
+    for shift in range(round(0.5 / step) + 1):
         long = [(x - x.mean(), q - q.mean()) for x, q in parts if len(x) > shift + 1]
         us = np.concatenate([x[: len(x) - shift] for x, _ in long])
         qs = np.concatenate([q[shift:] for _, q in long])
@@ -290,7 +280,7 @@ def check_channel_units(case: Case) -> Sequence[Check]:
         f"dq{k + 1} is {factor:.3g} times the rate of q{k + 1}" for k, factor in odd.items()
     )
     factors = [odd.get(k, 1.0) for k in range(log.n)]
-    check = said(
+    check = worded_check(
         "channel units", "doubtful", joints=tuple(odd), estimate=tuple(odd.values()), text=text
     )
     return [check.mended_by(scaled(("q", "u"), factors))]

@@ -104,12 +104,12 @@ def _along(
     q, dq, ddq = state
     pi, geometry = parameters.pi.to(q), chain_geometry(robot)
 
-    def found(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
+    def stacked_forces(motion: Sequence[Sequence[Tensor]], like: Tensor) -> Tensor:
         return stacked(*forces(geometry, kinematics(geometry, *motion), components(pi)), like)
 
     if pi.ndim > 2:
-        return found([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
-    return _in_chunks(found, q, dq, ddq)
+        return stacked_forces([x.unbind(-1) for x in (q, dq, ddq)], _broadcast_like(q, pi))
+    return _in_chunks(stacked_forces, q, dq, ddq)
 
 
 def components(pi: Float[Tensor, "*batch n 10"]) -> list[list[Scalar]]:

@@ -15,7 +15,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from torchid.dynamics.newton_euler import column_chunks
+from torchid.dynamics.newton_euler import CHUNK, column_chunks
 from torchid.dynamics.recursion import (
     ChainGeometry,
     chain_geometry,
@@ -30,14 +30,9 @@ from torchid.tensors import joint_signals
 from torchid.typing import Float, Numbers
 
 Method = Literal["closed", "autograd"]
-CHUNK = 12280
-"""Samples at a time; see newton_euler.CHUNK."""
 
 _KINDS = ((0, 1), (1, 4), (4, 10))
 """Where mass, first moment and inertia are among a link's ten parameters."""
-
-_TILE = 1000
-"""Samples transposed at a time, so that source and destination stay in the cache."""
 
 
 Rows = Sequence[Mapping[int, Sequence[Tensor | float | int]]]
@@ -146,6 +141,8 @@ def _write_dense(out: Float[Tensor, "M n P"], chunk: RegressorChunk) -> None:
     """Write a chunk's non-zeros into zeros (M, n, 10 L), columns in the paper's order: all masses,
     then all first moments, then all inertias."""
     links = out.shape[-1] // PARAMETERS_PER_LINK
+    # Samples transposed at a time, so that source and destination stay in the cache
+    tile = 1000
     for i, entries in enumerate(chunk.rows):
         for run in _runs(list(entries)):
             for first, last in _KINDS:
@@ -153,8 +150,8 @@ def _write_dense(out: Float[Tensor, "M n P"], chunk: RegressorChunk) -> None:
                 block = chunk.row(i, wanted)
                 column = first * links + (last - first) * run[0]
                 own = out[:, i, column : column + len(wanted)]
-                for start in range(0, out.shape[0], _TILE):
-                    own[start : start + _TILE] = block[:, start : start + _TILE].T
+                for start in range(0, out.shape[0], tile):
+                    own[start : start + tile] = block[:, start : start + tile].T
 
 
 def _runs(links: Sequence[int]) -> list[list[int]]:

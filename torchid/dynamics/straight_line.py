@@ -33,7 +33,6 @@ Mirror = np.ndarray
 """Elements of a tensor as expressions."""
 
 _NAME = re.compile(r"\bv\d+\b")
-_DEEPEST = 25  # expressions within one another on one line, which Python's parser bounds
 
 
 class NoStraightLineError(Exception):
@@ -367,7 +366,8 @@ def _printed(inputs: Sequence[str], outputs: Sequence[Expression]) -> str:
             node.template.format(*(p for p, _ in parts)),
             1 + max((d for _, d in parts), default=-1),
         )
-        if depth and (uses[id(node)] > 1 or depth > _DEEPEST):
+        # 25: expressions within one another on one line, which Python's parser bounds
+        if depth and (uses[id(node)] > 1 or depth > 25):
             lines.append(f"    v{node.number} = {source}")
             source, depth = f"v{node.number}", 0
         text[id(node)] = source, depth

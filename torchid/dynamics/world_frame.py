@@ -129,7 +129,7 @@ class Branches:
 
     @classmethod
     def of(cls, robot: Robot, like: Tensor) -> "Branches":
-        """Those of a robot, with the dtype and on the device of a tensor."""
+        """Joints of a robot, with the dtype and on the device of a tensor."""
         count = robot.n_links
         place = {link: k for k, link in enumerate(sum(robot.levels, ()))}
         carries, follow = like.new_zeros(count, count), like.new_zeros(count, robot.n)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Effect, Example, ModelEffect, Motion
 from torchid.effects.gear import Driven, Gear, joint_load, link_lags
 from torchid.effects.variation import (
     OneJointEffect,
@@ -66,6 +66,7 @@ class Backlash(OneJointEffect):
     branch = "transmission"
     needs = frozenset({"robot", "t"})
     jumps = True
+    costly = True
     coefficients = (Coefficient("width", "rad", True, "angle between the flanks", 0.05),)
     meaning = "Gear teeth lose contact and cross the play when the torque reverses."
     equation = (
@@ -85,7 +86,7 @@ class Backlash(OneJointEffect):
     example = Example((2e-3,), "time")
 
     @classmethod
-    def starts(cls, robot: Robot) -> list[ModelEffect]:
+    def starts(cls, robot: Robot) -> list[Effect]:
         """Plays of every other width on every joint, with each kind of impact."""
         places = itertools.product(range(robot.n), WIDTHS[::2], IMPACTS)
         return [cls(joint, width, *impact) for joint, width, impact in places]
@@ -102,7 +103,7 @@ class Backlash(OneJointEffect):
     def columns_along(
         cls, effects: Sequence[ModelEffect], motions: Sequence[Motion], robot: Robot | None = None
     ) -> Iterator[list[Columns]]:
-        """Those of several along several motions, the links of all of them side by side."""
+        """Columns of several plays along several motions, the links of all of them side by side."""
         arm = needed(robot, cls.name)
         plays = [e for e in effects if isinstance(e, cls)]
         links, rotors, places = [], [], []

@@ -54,8 +54,6 @@ Branch = Literal["friction", "inertia", "transmission", "sensing", "surroundings
 carry; gears; sensors and actuators; what the arm stands in. How far a log decides is said in this
 tree, whose leaves are effects at joints."""
 
-_ROUNDING = 1e-9
-"""Of the largest size of a coefficient [1]."""
 
 Abscissa = Literal["speed", "position", "acceleration", "time"]
 
@@ -110,11 +108,10 @@ class Effect(ABC):
         windowed: whether it is there in a window of time only, which must be found first.
         at_ends: whether it acts at an end of the travel alone, so that few stretches of a log show
             it.
-        servo: numbers of a position servo (`torchid.simulation.servo.PARAMETERS`) that it is in
+        servo: numbers of a position servo (`torchid.effects.servo.PARAMETERS`) that it is in
             logs of commands and positions, the one that gives its size first.
         positions: whether such logs show it.
         by_motion: whether a motion of some seconds brings it about.
-        on_all: whether nearly all joints of an arm have it.
         shared: whether one coefficient may be common to all joints.
         inertial: whether it is a change of the bodies' inertial parameters.
         smooth: whether its columns differentiate the model's torque, so that it is evaluated on a
@@ -126,6 +123,16 @@ class Effect(ABC):
         scale_of_torque: whether it is the error of a measured torque's scale.
         of_bodies: whether its columns need the links' own parameters: the same base parameters,
             split among the links in another way, give others.
+        memory: whether the torque of its joint depends on the past: then time is the last axis but
+            one of the motion.
+        costly: whether its columns take so long that they are evaluated only on joints where
+            something is left to explain.
+        elastic: whether its joint's link swings on the gear.
+        logs_late: what it logs late: torque, or velocity.
+        after_noise: whether it acts on samples as they were logged, noise and all.
+        bounds_key: of its coefficient in the `bounds` of a robot's file.
+        usual: whether it is planted in every check of an answer by withheld causes.
+        where: what it is located at, in words.
     """
 
     name: ClassVar[str]
@@ -152,7 +159,6 @@ class Effect(ABC):
     servo: ClassVar[tuple[str, ...]] = ()
     positions: ClassVar[bool] = False
     by_motion: ClassVar[bool] = True
-    on_all: ClassVar[bool] = False
     shared: ClassVar[bool] = False
     inertial: ClassVar[bool] = False
     smooth: ClassVar[bool] = False
@@ -161,6 +167,14 @@ class Effect(ABC):
     of_sensor: ClassVar[bool] = False
     scale_of_torque: ClassVar[bool] = False
     of_bodies: ClassVar[bool] = False
+    memory: ClassVar[bool] = False
+    costly: ClassVar[bool] = False
+    elastic: ClassVar[bool] = False
+    logs_late: ClassVar[Literal["torque", "velocity"] | None] = None
+    after_noise: ClassVar[bool] = False
+    bounds_key: ClassVar[str] = ""
+    usual: ClassVar[bool] = False
+    where: ClassVar[str]
 
     @classmethod
     def exemplar(cls, joint: int) -> "Effect":
@@ -168,10 +182,68 @@ class Effect(ABC):
         place = {"joint": joint} if any(f.name == "joint" for f in fields(cls)) else {}
         return cls(**place, **cls.example.given)
 
+    @classmethod
+    def logs(cls) -> tuple[str, ...]:
+        """Which logs can show it: of torques, of commands and positions, or both."""
+        return ("torque", "positions") if cls.positions else ("torque",)
+
+    @classmethod
+    @abstractmethod
+    def candidates(cls, robot: "Robot") -> "list[Effect]":
+        """One instance a place of the arm where it can be, of the example's shapes or, for effects
+        of the model, the first of the grid."""
+
+    @classmethod
+    def starts(cls, robot: "Robot") -> "list[Effect]":
+        """What a search begins with: several at a place where the column is another one at another
+        secant, so far apart that each has something in common with those `between`."""
+        return cls.candidates(robot)
+
     @property
     @abstractmethod
     def joints(self) -> tuple[int, ...]:
         """Joints it is located at, from 0; empty where it belongs to the whole arm."""
+
+    @property
+    def reads(self) -> tuple[int, ...]:
+        """Joints, from 0, whose logged torque it reads beside its own."""
+        return ()
+
+    @property
+    def of_speed(self) -> bool:
+        """Whether its torque is a curve of its joint's speed, whatever else moves."""
+        return False
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """The window in which it is there, on the motion's clock [s]; None where it has none."""
+        return None
+
+    @property
+    def point(self) -> str:
+        """The point of the arm that it acts at, in words with a comma behind; empty of joints."""
+        return ""
+
+    def remarks(self, values: Sequence[float], q: Float[Tensor, "T n"]) -> list[str]:
+        """What its coefficients do not say of it along the positions of a log, sentences without a
+        full stop."""
+        return []
+
+    def at_an_end(self, motions: Sequence[Motion]) -> tuple[str, ...]:
+        """Shapes that are at an end of their range on these motions: there the effect has become
+        another, simpler one."""
+        return ()
+
+    def plant(self, robot: "Robot", values: Sequence[float]) -> "Robot":
+        """The arm as it is with this effect; itself where it adds torque, or is in the sensors."""
+        return robot
+
+    def measured(
+        self, motion: Motion, values: Sequence[float], robot: "Robot | None" = None
+    ) -> Motion:
+        """What the sensors make of a true motion whose `torque` is the true one, time the first
+        axis; the motion itself where it is no effect of sensors."""
+        return motion
 
     @abstractmethod
     def torque_columns(self, motion: Motion, robot: "Robot | None" = None) -> Columns:
@@ -276,7 +348,8 @@ class Effect(ABC):
             # A solution at a bound of zero may lie below it by rounding, which no reader takes;
             # where there is no largest size, readers take any sign.
             bound = c.non_negative and c.largest < math.inf
-            out[c.name] = 0.0 if bound and -_ROUNDING * c.largest < v < 0 else float(v)
+            # 1e-9: of the largest size of a coefficient
+            out[c.name] = 0.0 if bound and -1e-9 * c.largest < v < 0 else float(v)
         return out | own
 
 
@@ -290,8 +363,17 @@ class JointEffect(Effect):
 
     joint: int
 
-    memory: ClassVar[bool] = False
-    """Whether the torque depends on the past: then time is the last axis but one of the motion."""
+    where: ClassVar[str] = "one joint (`joint`)"
+
+    @classmethod
+    def candidates(cls, robot: "Robot") -> "list[Effect]":
+        """One on every joint that a motor drives."""
+        return [cls(joint, **cls.example.given) for joint in robot.driven]
+
+    @property
+    def of_speed(self) -> bool:
+        """Whether it is friction of the present speed alone."""
+        return self.law == "friction" and not (self.memory or self.needs)
 
     @classmethod
     @abstractmethod
@@ -398,7 +480,7 @@ class JointEffect(Effect):
     def own_columns(
         self, motion: Motion, robot: "Robot | None" = None
     ) -> list[Float[Tensor, "*batch C"]]:
-        """Those of its joint."""
+        """Columns of its joint."""
         return [self.columns(motion)]
 
     def torque_columns(self, motion: Motion, robot: "Robot | None" = None) -> Columns:
@@ -423,6 +505,7 @@ class ModelEffect(Effect):
     """
 
     needs: ClassVar[frozenset[str]] = frozenset({"robot"})
+    where: ClassVar[str] = "the whole arm"
 
     @property
     def joints(self) -> tuple[int, ...]:
@@ -435,15 +518,9 @@ class ModelEffect(Effect):
         return "t" in self.needs and not self.windowed
 
     @classmethod
-    def candidates(cls, robot: "Robot") -> "list[ModelEffect]":
-        """One instance a place of the arm where it can be, with the first shapes of the grid."""
+    def candidates(cls, robot: "Robot") -> "list[Effect]":
+        """The one of the whole arm, with the first shapes of the grid."""
         return [cls()]
-
-    @classmethod
-    def starts(cls, robot: "Robot") -> "list[ModelEffect]":
-        """What a search begins with: several at a place where the column is another one at another
-        secant, so far apart that each has something in common with those `between`."""
-        return cls.candidates(robot)
 
     def between(self) -> "Sequence[ModelEffect]":
         """What stands between this one of the `starts` and the next, and is looked at where the
@@ -465,7 +542,7 @@ class ModelEffect(Effect):
         motions: Sequence[Motion],
         robot: "Robot | None" = None,
     ) -> Iterator[Sequence[Columns]]:
-        """The same along several trajectories, one column each."""
+        """Columns of several effects along several trajectories, one column each."""
         yield from zip(*(cls.columns_of(effects, m, robot) for m in motions), strict=True)
 
     def around(self, level: int, interval: float) -> "Sequence[ModelEffect]":
@@ -482,14 +559,3 @@ class ModelEffect(Effect):
         """The effect with other shapes at the same size `at` that only the torque above the
         fit's band tells apart, as that of an impact; none where there is no such thing."""
         return []
-
-    def plant(self, robot: "Robot", values: Sequence[float]) -> "Robot":
-        """The arm as it is with this effect; the same where it only changes what is measured."""
-        return robot
-
-    def measured(
-        self, motion: Motion, values: Sequence[float], robot: "Robot | None" = None
-    ) -> Motion:
-        """What the sensors make of a true motion whose `torque` is the true one; time is the first
-        axis. The same where the effect changes the arm."""
-        return motion

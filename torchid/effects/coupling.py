@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 
 from torchid.digits import number
-from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion, Shape
+from torchid.effects.base import Coefficient, Columns, Effect, Example, Motion, Shape
 from torchid.effects.c_text import add
 from torchid.effects.variation import JointPairEffect
 from torchid.robot.model import Robot
@@ -77,7 +77,7 @@ class GearCoupling(JointPairEffect):
         return (self.joint, self.source_joint)
 
     @classmethod
-    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+    def candidates(cls, robot: Robot) -> list[Effect]:
         """Neighbours of the same kind, either way round, turning with or against each other."""
         kinds = robot.joint_types
         return [

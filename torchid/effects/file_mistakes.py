@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Columns, Example, ModelEffect, Motion
+from torchid.effects.base import Columns, Effect, Example, Motion
 from torchid.effects.inertia import LinkEffect
 from torchid.effects.variation import ArmCoefficient, needed
 from torchid.robot.inertia import InertialParameters, parallel_axis
@@ -128,7 +128,7 @@ class MirroredLink(FileMistake):
             raise ValueError("axis must be x, y or z")
 
     @classmethod
-    def starts(cls, robot: Robot) -> list[ModelEffect]:
+    def starts(cls, robot: Robot) -> list[Effect]:
         """Every link, mirrored along each of its axes."""
         return [cls(joint, axis) for joint in robot.driven for axis in "xyz"]
 

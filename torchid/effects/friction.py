@@ -17,6 +17,8 @@ class ViscousFriction(JointEffect):
     """Torque in proportion to the joint's own speed."""
 
     name = "viscous_friction"
+    bounds_key = "friction_viscous"
+    usual = True
     family = "speed"
     branch = "friction"
     detail = "viscous"
@@ -30,7 +32,6 @@ class ViscousFriction(JointEffect):
     remedy = "Set the joint's damping to Fv in the simulator."
     source = "eq. 2.16 of the report; Armstrong-Helouvry et al. 1994, section 2"
     example = Example((2.0,), "speed")
-    on_all = True
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
@@ -57,6 +58,8 @@ class CoulombFriction(JointEffect):
     smoothing: float = 0.0
 
     name = "coulomb_friction"
+    bounds_key = "friction_coulomb"
+    usual = True
     family = "sign"
     branch = "friction"
     detail = "dry"
@@ -71,7 +74,6 @@ class CoulombFriction(JointEffect):
     remedy = "Set the joint's dry friction (frictionloss) to Fc in the simulator."
     source = "eq. 2.16 of the report; Armstrong-Helouvry et al. 1994, section 2"
     example = Example((1.0,), "speed")
-    on_all = True
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
@@ -102,6 +104,8 @@ class TorqueOffset(JointEffect):
     """Constant torque: the report's Coulomb offset, equally a bias of the torque sensor."""
 
     name = "torque_offset"
+    bounds_key = "friction_offset"
+    usual = True
     family = "constant"
     branch = "sensing"
     of_sensor = True
@@ -115,7 +119,6 @@ class TorqueOffset(JointEffect):
     remedy = "Subtract F0 from the measured torque, or calibrate the sensor's zero."
     source = "eq. 2.16 of the report"
     example = Example((1.0,), "speed")
-    on_all = True
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:

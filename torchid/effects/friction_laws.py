@@ -85,6 +85,7 @@ class StribeckFriction(JointEffect):
     d: float = 2.0
 
     name = "stribeck_friction"
+    usual = True
     family = "sign"
     branch = "friction"
     detail = "falls at low speed"
@@ -147,6 +148,7 @@ class LoadDependentFriction(JointEffect):
     """
 
     name = "load_dependent_friction"
+    usual = True
     family = "sign"
     branch = "friction"
     detail = "grows with load"

@@ -25,18 +25,8 @@ from torchid.effects.variation import rigid_torque
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-STEPS = 12
-"""Steps of integration in a period of the gear's resonance with the lightest link, at least: its
-frequency is then right to 1 %, and others better."""
-
 PIECE = 1.0
 """Length into which a motion is cut, so that its pieces are integrated side by side [s]."""
-
-LEAD = 2.0
-"""Length before each piece in which the link forgets how it began [s]."""
-
-LEAST_INERTIA = 0.05
-"""Inertia of a joint that no body has (zero or less somewhere), relative to its mean."""
 
 
 class Gear(NamedTuple):
@@ -131,7 +121,7 @@ class _Pieces(NamedTuple):
 
     @property
     def least(self) -> float:
-        """The least inertia."""
+        """The least inertia that the joint moves [kg m^2; kg]."""
         lightest = self.inertia.min()
         return float(lightest.detach() if isinstance(lightest, Tensor) else lightest)
 
@@ -158,10 +148,12 @@ def link_lags(links: Sequence[Driven]) -> list[Lag]:
     for k, (load, inertia, t, gear) in enumerate(links):
         # All pieces side by side, each with its lead; before the first instant the motion is held.
         rate = 1 / interval(t)
-        piece, lead = max(1, round(PIECE * rate)), round(LEAD * rate)
+        # 2.0: length before each piece in which the link forgets how it began [s]
+        piece, lead = max(1, round(PIECE * rate)), round(2.0 * rate)
         index = np.arange(0, len(t), piece) + np.arange(-lead, piece)[:, None]
         index = np.clip(index, 0, len(t) - 1)
-        least = max(LEAST_INERTIA * float(inertia.detach().abs().mean()), 1e-12)
+        # 0.05: inertia of a joint that no body has (zero or less somewhere), relative to its mean
+        least = max(0.05 * float(inertia.detach().abs().mean()), 1e-12)
         raised = inertia.double().clamp(min=least).cpu()
         u, m = torch.broadcast_tensors(load.double().cpu()[index], raised[index])
         traced = u.requires_grad or m.requires_grad
@@ -191,7 +183,9 @@ def _steps(pieces: _Pieces) -> int:
     """So many steps between two samples as the stiffest gear with the lightest link needs; odd, so
     that a rate is known in the middle."""
     fastest = math.sqrt(float(pieces.gear.stiffness.max()) / pieces.least) / (2 * math.pi)
-    steps = max(1, math.ceil(STEPS * fastest / pieces.rate))
+    # 12: steps of integration in a period of the gear's resonance with the lightest link, at least:
+    # its frequency is then right to 1 %, and others better
+    steps = max(1, math.ceil(12 * fastest / pieces.rate))
     return steps + 1 - steps % 2
 
 
@@ -220,7 +214,8 @@ def _swings(pieces: _Pieces) -> Sequence[Any]:
 
 
 def _traced_flight(pieces: _Pieces) -> Sequence[Tensor]:
-    """The same with play as `_flights` has it, of one motion, on tensors that gradients follow."""
+    """A link's way with play as `_flights` has it, of one motion, on tensors that gradients
+    follow."""
     u, m, gear, rate = pieces
     k, damping, play, drag = map(torch.from_numpy, gear)
     steps, x, v = _steps(pieces), pieces.start, torch.zeros_like(u[0])
@@ -243,8 +238,8 @@ def _traced_flight(pieces: _Pieces) -> Sequence[Tensor]:
 
 
 def _flights(some: Sequence[_Pieces], steps: int, lead: int) -> list[list[np.ndarray]]:
-    """The same of motions with play, behind their leads, by leapfrog steps (rates half a step from
-    angles), the damping implicit.
+    """Links' ways of motions with play, behind their leads, by leapfrog steps (rates half a step
+    from angles), the damping implicit.
 
     An impact may be shorter than the time between two samples: accelerations are means from the
     middle before a sample to the middle after it, so that none is lost.

@@ -8,7 +8,7 @@ import torch
 
 from torchid.digits import number
 from torchid.dynamics.forward import gravity_torque
-from torchid.effects.base import Coefficient, Columns, Example, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Columns, Effect, Example, ModelEffect, Motion
 from torchid.effects.c_text import JOINTS, RIGID, add
 from torchid.effects.variation import (
     ArmCoefficient,
@@ -59,7 +59,7 @@ class BaseTilt(ModelEffect):
     example = Example((0.03, 0.03), "position")
 
     @classmethod
-    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+    def candidates(cls, robot: Robot) -> list[Effect]:
         """One, where there is gravity."""
         return [cls()] if bool(robot.gravity.norm() > 0) else []
 
@@ -120,6 +120,7 @@ class TorqueGain(TorqueShare):
     """A joint's torque is measured with a wrong scale."""
 
     name = "torque_gain"
+    usual = True
     coefficients = (
         Coefficient("gain", "1", False, "relative error of the torque's scale", 0.7, -0.5),
     )
@@ -140,7 +141,6 @@ class TorqueGain(TorqueShare):
         "parameters of robots, J. Dyn. Sys. Meas. Control 136(5)"
     )
     example = Example((0.05,), "position")
-    on_all = True
     shared = True
     scale_of_torque = True
 
@@ -173,6 +173,11 @@ class TorqueCrosstalk(TorqueShare, JointPairEffect):
     def read(self) -> int:
         """The source joint."""
         return self.source_joint
+
+    @property
+    def reads(self) -> tuple[int, ...]:
+        """The source joint."""
+        return (self.source_joint,)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ class PreslidingHysteresis(JointEffect):
     length: float = 0.05
 
     name = "presliding_hysteresis"
+    usual = True
     family = "hysteresis"
     branch = "friction"
     detail = "builds up over a distance (presliding)"
@@ -160,7 +161,7 @@ class LoadHysteresis(PreslidingHysteresis):
     def advance(
         cls, motion: Motion, dt: float, state: Tensor | None, *shapes: Tensor
     ) -> tuple[Columns, Tensor | None]:
-        """The same after the displacement dq dt."""
+        """Columns after the displacement dq dt."""
         columns, state = super().advance(motion, dt, state, *shapes)
         return columns * _load(motion), state
 

@@ -127,6 +127,8 @@ class RotorInertia(JointEffect):
     """
 
     name = "rotor_inertia"
+    bounds_key = "rotor_inertia"
+    usual = True
     family = "inertia"
     branch = "inertia"
     coefficients = (Coefficient("Ia", "kg m^2", True, "reflected rotor inertia"),)
@@ -139,7 +141,6 @@ class RotorInertia(JointEffect):
     remedy = "Set the joint's armature to Ia in the simulator."
     source = "Corke 2017, Robotics, Vision and Control, section 9.1.3"
     example = Example((0.5,), "acceleration")
-    on_all = True
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:

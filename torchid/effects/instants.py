@@ -6,10 +6,6 @@ from torch import Tensor
 from torchid.log.filtering import central_difference
 from torchid.typing import Float
 
-POINTS = 6
-"""Samples that a value between samples is interpolated from: at a delay of half a sample the error
-at frequency f is about 5 (pi f / rate)^6 / 16 of the signal."""
-
 
 def interval(t: Float[Tensor, " T"]) -> float:
     """Seconds between samples of a uniform grid; 1 where there are fewer than two."""
@@ -43,7 +39,9 @@ def shifted(
     total = x.shape[0]
     if total < 2:
         return x.clone()
-    points = min(POINTS, total)
+    # 6: samples that a value between samples is interpolated from: at a delay of half a sample the
+    # error at frequency f is about 5 (pi f / rate)^6 / 16 of the signal
+    points = min(6, total)
     index = torch.arange(total, dtype=x.dtype, device=x.device).unsqueeze(-1)
     position = (
         (index + torch.as_tensor(by, dtype=x.dtype, device=x.device) / interval(t))

@@ -34,15 +34,6 @@ State = Float[Tensor, "..."] | None
 RIGID = "rigid body"
 """The first of the causes of a torque."""
 
-_STEP = 1e-3
-"""Of the finite difference in acceleration, in which torque is linear but for kinks [rad/s^2;
-m/s^2]."""
-_MOST_STEPS = 30
-_EXACT = 1e-9
-"""Torque that accelerations may miss, relative to the largest, where they are found [1]."""
-_SINGULAR = 1e8
-"""Condition of torque per acceleration from which on the one does not tell the other [1]."""
-
 
 class ArmModel(Module):
     """The torque of a robot with all its effects, differentiable, on any device and in any dtype.
@@ -460,12 +451,19 @@ def _solved(
         effects: to be named where there is no solution.
     """
     n, found = start.shape[-1], start
-    units = _STEP * torch.eye(n).to(start).view(n, *(1,) * (start.ndim - 1), n)
-    for _ in range(_MOST_STEPS):
+    # Of the finite difference in acceleration, in which torque is linear but for kinks [rad/s^2;
+    # m/s^2]
+    acceleration_step = 1e-3
+    units = acceleration_step * torch.eye(n).to(start).view(n, *(1,) * (start.ndim - 1), n)
+    # 30: Newton steps at most
+    for _ in range(30):
         error = missed(found)
-        slopes = ((missed(found + units) - error) / _STEP).movedim(0, -1)
-        if bool((error.abs() <= _EXACT * (1 + size.abs())).all()):
-            if bool((torch.linalg.cond(slopes) < _SINGULAR).all()):
+        slopes = ((missed(found + units) - error) / acceleration_step).movedim(0, -1)
+        # 1e-9: torque that accelerations may miss, relative to the largest, where they are found
+        if bool((error.abs() <= 1e-9 * (1 + size.abs())).all()):
+            # 1e8: condition of torque per acceleration from which on the one does not tell the
+            # other
+            if bool((torch.linalg.cond(slopes) < 1e8).all()):
                 return found, slopes
             break
         found = found - torch.linalg.solve_ex(slopes, error.unsqueeze(-1))[0].squeeze(-1)

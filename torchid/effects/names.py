@@ -15,6 +15,10 @@ NAMES = (
     "saturation", "drive_saturation", "end_stop", "plane_contact", "contact", "dropped_samples",
 )  # fmt: skip
 """In the order of the registry."""
+EXCITED_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
+"""That a motion is designed for unless others are asked for: friction of the paper's model."""
+DEFAULT_EFFECTS = (*EXCITED_EFFECTS, "rotor_inertia")
+"""That are fitted beside base parameters unless others are asked for."""
 PLACES = ("joint", "source_joint")
 """Fields of effects that are joints: from 0 in Python, from 1 in files."""
 

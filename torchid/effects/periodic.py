@@ -68,6 +68,11 @@ class Wave(JointEffect):
         carrier = cls.carrier(motion)
         return wave if carrier is None else carrier.unsqueeze(-1) * wave
 
+    @property
+    def of_speed(self) -> bool:
+        """Never: it is a curve of the position."""
+        return False
+
     @classmethod
     def carrier(cls, motion: Motion) -> Joints | None:
         """What the wave is a share of (..., n); None for a wave that is torque itself."""

@@ -50,6 +50,7 @@ class TimeDelay(OneJointEffect):
     branch = "sensing"
     of_sensor = True
     needs = frozenset({"torque", "t"})
+    logs_late = "torque"
     coefficients = (Coefficient("delay", "s", True, "by which the torque is late", 0.1),)
     meaning = "The torque is filtered or stamped later than the position."
     equation = "tau_j(t - delay) - tau_j(t)"
@@ -101,6 +102,7 @@ class FilterLag(ModelEffect):
     branch = "sensing"
     of_sensor = True
     needs = frozenset({"robot", "t", "velocity"})
+    logs_late = "velocity"
     coefficients = (
         Coefficient("lag", "s", True, "by which velocity and acceleration are late", 0.1),
     )
@@ -164,6 +166,7 @@ class JointElasticity(OneJointEffect):
     name = "joint_elasticity"
     family = "phase"
     branch = "transmission"
+    elastic = True
     needs = frozenset({"robot", "torque", "t"})
     coefficients = (
         Coefficient("compliance", "rad/(N m)", True, "deflection per torque, 1/K", 0.2),
@@ -192,7 +195,7 @@ class JointElasticity(OneJointEffect):
     def columns_of(
         cls, effects: Sequence[ModelEffect], motion: Motion, robot: Robot | None = None
     ) -> Iterator[Columns]:
-        """Those of several; links that swing on one joint side by side."""
+        """Columns of several elastic joints; links that swing on one joint side by side."""
         arm, t = needed(robot, cls.name), motion.require("t", cls.name)
         rigid = rigid_torque(arm, *motion.state)
         elastic = [e for e in effects if isinstance(e, cls)]
@@ -214,7 +217,7 @@ class JointElasticity(OneJointEffect):
         return next(self.columns_of([self], motion, robot))
 
     def _deflected(self, motion: Motion, arm: Robot, rigid: Float[Tensor, "T n"]) -> Columns:
-        """The same of a link that does not ring."""
+        """Columns of a link that does not ring."""
         t = motion.require("t", self.name)
         at = secant_at(self.at, 1e-10)
         load = motion.require("torque", self.name)[:, self.joint].double()

@@ -54,8 +54,6 @@ COLUMN_KINDS: dict[str, type[JointEffect]] = {
 }
 """Effects whose columns depend on the present motion alone: those that identification fits."""
 
-_BEYOND = 100.0
-"""How much larger than on any arm a coefficient in a file may be, to see what it would do."""
 
 EVENTS = tuple(name for name, kind in KINDS.items() if kind.event)
 """Effects that happened once in one log, and are no property of the arm."""
@@ -141,7 +139,7 @@ def nominal_effects(robot: Robot) -> list[Valued]:
 
 
 def nominal_columns(robot: Robot) -> list[tuple[JointEffect, list[float]]]:
-    """Those of the nominal effects that identification can fit."""
+    """The nominal effects that identification can fit."""
     return [
         (effect, values)
         for effect, values in nominal_effects(robot)
@@ -150,7 +148,7 @@ def nominal_columns(robot: Robot) -> list[tuple[JointEffect, list[float]]]:
 
 
 def nominal_others(robot: Robot) -> list[Valued]:
-    """Those that it cannot."""
+    """The nominal effects that identification cannot fit."""
     return [pair for pair in nominal_effects(robot) if pair[0].name not in COLUMN_KINDS]
 
 
@@ -243,7 +241,9 @@ def effect_from_record(record: Mapping[str, Any], robot: Robot) -> Valued:
         raise RobotError(f"{where} cannot be made: {error}", got=dict(record)) from error
     values = [float(record[name]) for name in names]
     for coefficient, value in zip(kind.coefficients, values, strict=True):
-        most = _BEYOND * coefficient.largest
+        # 100.0: how much larger than on any arm a coefficient in a file may be, to see what it
+        # would do
+        most = 100.0 * coefficient.largest
         # What is fitted may have a sign that physics forbids; a delay or a width may not.
         least = 0.0 if coefficient.non_negative and most < math.inf else -most
         if not least <= value <= most:

@@ -23,12 +23,6 @@ from torchid.typing import Float
 ALIKE = 0.8
 """Correlation from which an effect is a rival: the other has two thirds of its energy."""
 
-SAME = 1e-6
-"""Correlation short of 1 up to which two effects are the same, whatever their coefficients."""
-
-ROUNDING = 1e-6
-"""Of columns of length one: directions below it are rounding, or secants' curvature."""
-
 
 class Rival(NamedTuple):
     """An effect that another one is confused with.
@@ -46,7 +40,9 @@ class Rival(NamedTuple):
     @property
     def same(self) -> bool:
         """Whether no motion of this kind tells them apart."""
-        return self.correlation > 1 - SAME
+        # 1e-6: correlation short of 1 up to which two effects are the same, whatever their
+        # coefficients
+        return self.correlation > 1 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -173,7 +169,8 @@ def _basis(columns: Float[Tensor, "S R C"]) -> Float[Tensor, "S R C"]:
     size = columns.norm(dim=1, keepdim=True)
     unit = columns / torch.where(size > 0, size, 1.0)
     u, s, _ = torch.linalg.svd(unit, full_matrices=False)
-    return u * (s > ROUNDING * s[..., :1].clamp(min=1e-300)).to(u).unsqueeze(1)
+    # 1e-6: of columns of length one: directions below it are rounding, or secants' curvature
+    return u * (s > 1e-6 * s[..., :1].clamp(min=1e-300)).to(u).unsqueeze(1)
 
 
 def _correlation(a: _Span, b: _Span, n: int) -> float:

@@ -12,16 +12,6 @@ from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Mot
 from torchid.effects.c_text import add
 from torchid.typing import Float
 
-_LEVER = 0.5
-"""Curvature from which on a spring is a counterbalance [1/rad^2]: 1 where its lever turns with the
-joint."""
-
-_SERIES = 1e-3
-"""|curvature q^2| below which the series of C and S is exact to rounding."""
-
-_HARDEST = 30.0
-"""Exponent w q at the end of the way from which on no spring that hardens is sought [1]."""
-
 
 @dataclass(frozen=True)
 class JointSpring(JointEffect):
@@ -51,6 +41,7 @@ class JointSpring(JointEffect):
     curvature: float = 0.0
 
     name = "joint_spring"
+    usual = True
     family = "gravity"
     branch = "surroundings"
     over_position = True
@@ -90,7 +81,20 @@ class JointSpring(JointEffect):
     @property
     def ranges(self) -> tuple[tuple[float, float], ...]:
         """No spring pushes away from its rest position, but a counterbalance."""
-        return ((0.0 if self.curvature < _LEVER else -math.inf, math.inf), super().ranges[1])
+        # 0.5: curvature from which on a spring is a counterbalance [1/rad^2]: 1 where its lever
+        # turns with the joint
+        return ((0.0 if self.curvature < 0.5 else -math.inf, math.inf), super().ranges[1])
+
+    def remarks(self, values: Sequence[float], q: Float[Tensor, "T n"]) -> list[str]:
+        """Between which values its stiffness is, where that changes along the travel."""
+        if self.curvature == 0:
+            return []
+        own = q[:, self.joint]
+        least, most = torch.aminmax(self.stiffness(values, own))
+        return [
+            f"k is the stiffness at q = 0; where the joint moved, from {float(own.min()):.3g} to "
+            f"{float(own.max()):.3g}, it is {float(least):.3g} to {float(most):.3g}"
+        ]
 
     @classmethod
     def grid(cls, motions: Sequence[Motion], joint: int, cutoff: float) -> Float[Tensor, "S P"]:
@@ -98,7 +102,8 @@ class JointSpring(JointEffect):
         their torque there."""
         rows = super().grid(motions, joint, cutoff)
         far = max(float(m.q[:, joint].abs().max()) for m in motions)
-        return rows[(-rows[:, 0]).clamp(min=0.0).sqrt() * far < _HARDEST]
+        # 30.0: exponent w q at the end of the way from which on no spring that hardens is sought
+        return rows[(-rows[:, 0]).clamp(min=0.0).sqrt() * far < 30.0]
 
     @classmethod
     def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
@@ -133,7 +138,8 @@ def stumpff(x: Tensor) -> tuple[Tensor, Tensor]:
     With cosh and sinh for x < 0, and the power series about 0, where they have a gradient too
     (Stumpff's functions c0 and c1, Battin 1999, section 4.5).
     """
-    near = x.abs() < _SERIES
+    # 1e-3: |curvature q^2| below which the series of C and S is exact to rounding
+    near = x.abs() < 1e-3
     root = torch.where(near, 1.0, x).abs().sqrt()
     waves = torch.where(near | (x < 0), 0.0, root)
     grows = torch.where(x < 0, root, 0.0)

@@ -11,6 +11,7 @@ from torchid.digits import number
 from torchid.effects.base import (
     Coefficient,
     Columns,
+    Effect,
     Example,
     JointEffect,
     ModelEffect,
@@ -85,7 +86,7 @@ class PlaneContact(ModelEffect):
         return [f"{c.name}{self.side}" for c in self.coefficients]
 
     @classmethod
-    def starts(cls, robot: Robot) -> list[ModelEffect]:
+    def starts(cls, robot: Robot) -> list[Effect]:
         """None: planes are looked for where the tool turns back (`near_ends`)."""
         return []
 

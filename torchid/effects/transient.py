@@ -11,6 +11,7 @@ from torchid.digits import number
 from torchid.effects.base import (
     Coefficient,
     Columns,
+    Effect,
     Example,
     JointEffect,
     ModelEffect,
@@ -26,9 +27,6 @@ from torchid.typing import Float
 
 RAMP = 0.05
 """Seconds in which a contact force comes and goes."""
-
-LEAST_JOINTS = 3
-"""Joints that must move a link for the three components of a force on it to show."""
 
 
 @dataclass(frozen=True)
@@ -188,8 +186,19 @@ class Contact(ModelEffect):
 
     @property
     def lasting(self) -> "Contact":
-        """The same without a window."""
+        """This push without a window."""
         return replace(self, start=None, stop=None)
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Its window, where it has both ends."""
+        return None if self.start is None or self.stop is None else (self.start, self.stop)
+
+    @property
+    def point(self) -> str:
+        """`at 40% of the way along 'link_4', `; empty of an arm's only end."""
+        place = "" if self.along is None else f"{self.along:.0%} of the way along "
+        return "" if self.tip is None else f"at {place}'{self.tip}', "
 
     def around(self, level: int, interval: float) -> "list[Contact]":
         """Contacts whose window begins and ends a little earlier or later, or that act a little
@@ -214,7 +223,7 @@ class Contact(ModelEffect):
         return out
 
     @classmethod
-    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+    def candidates(cls, robot: Robot) -> list[Effect]:
         """One an end of the robot."""
         one = len(robot.ends) == 1
         return [cls(tip=None if one else end.name) for end in robot.ends]
@@ -224,11 +233,11 @@ class Contact(ModelEffect):
         """One at the middle of every link before those with ends that so many joints move that the
         force on it can be known."""
         last = {end.link for end in robot.ends}
+        # 3: joints that must move a link for the three components of a force on it to show
         return [
             cls(tip=name, along=0.5)
             for i, name in enumerate(robot.link_names)
-            if i not in last
-            and len({robot.drives[k].coordinate for k in robot.ancestors(i)}) >= LEAST_JOINTS
+            if i not in last and len({robot.drives[k].coordinate for k in robot.ancestors(i)}) >= 3
         ]
 
     def window(self, t: Float[Tensor, " T"]) -> Float[Tensor, " T"]:
@@ -261,6 +270,7 @@ class DroppedSamples(OneJointEffect):
     of_sensor = True
     needs = frozenset({"torque", "t", "age"})
     jumps = True
+    after_noise = True
     coefficients = (
         Coefficient("hold", "1", True, "share of the torque that was held, 0 to 1", 1.2),
     )

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.one_joint import torques_of_one_joint
-from torchid.effects.base import Coefficient, ModelEffect, Motion
+from torchid.effects.base import Coefficient, Effect, ModelEffect, Motion
 from torchid.robot.model import Robot
 from torchid.typing import Float
 
@@ -30,13 +30,15 @@ class OneJointEffect(ModelEffect):
 
     joint: int
 
+    where = "one joint (`joint`)"
+
     @property
     def joints(self) -> tuple[int, ...]:
         """Its joint."""
         return (self.joint,)
 
     @classmethod
-    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+    def candidates(cls, robot: Robot) -> list[Effect]:
         """One on every joint that a motor drives."""
         return [cls(joint) for joint in robot.driven]
 
@@ -52,12 +54,14 @@ class JointPairEffect(OneJointEffect):
 
     source_joint: int
 
+    where = "a pair of joints (`joint`, `source_joint`)"
+
     def __post_init__(self) -> None:
         if self.joint == self.source_joint:
             raise ValueError("joint and source_joint must differ")
 
     @classmethod
-    def candidates(cls, robot: Robot) -> list[ModelEffect]:
+    def candidates(cls, robot: Robot) -> list[Effect]:
         """One on every ordered pair of joints that motors drive."""
         joints = robot.driven
         return [cls(j, source) for j in joints for source in joints if j != source]

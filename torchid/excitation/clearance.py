@@ -29,22 +29,11 @@ from torchid.robot.shapes import LinkShapes, joint_points, link_shapes
 from torchid.robot.solids import assembled, capsule
 from torchid.typing import Bool, Float, Int, Tensor
 
-RESOLUTION = 0.001
-"""Distance below which nothing is told apart [m]."""
-
 BETWEEN = 0.0005
 """What two shapes may come nearer between two instants that are looked at [m]."""
 
 FAR_ROOM = 0.1
 """Room beyond what is needed from which on nothing is near [m]."""
-
-_PENALTY = 2.0  # beside the logarithm of a condition number, for FAR too little
-_SEARCH_MARGIN = 0.005  # [m]: the search's instants are further apart
-_SEARCH_SAMPLES = 100
-_PER_PERIOD = 200  # instants a period of the fastest harmonic
-_FEWEST = 500
-_FEW = 16  # every so many of them are looked at first
-_POSTURES = 512  # of which pairs are asked whether they are ever clear
 
 
 class Nearest(NamedTuple):
@@ -91,10 +80,12 @@ class Clearance(Restriction):
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
         """What a search pays for coming too near; differentiable, 0 where all is clear."""
-        t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
+        search_samples = 100
+        t = midpoints(trajectory.duration, search_samples)
         q = trajectory.at(t).q
         placed = self.placed(q.reshape(-1, self.robot.n))
-        wanted = self.needed + (self.room / 4).clamp(max=_SEARCH_MARGIN)
+        # 0.005 m: the search's instants are further apart
+        wanted = self.needed + (self.room / 4).clamp(max=0.005)
         with torch.no_grad():
             near = self.distances.at_least(placed, self.pairs) < wanted
             row, pair = near.nonzero(as_tuple=True)
@@ -109,9 +100,10 @@ class Clearance(Restriction):
         short = (wanted[pair] - apart).clamp(min=0) / FAR_ROOM
         # Of each pair the instant counts at which it is nearest.
         worst = q.new_zeros(q[..., 0, 0].numel(), len(self.pairs))
-        at = (row // _SEARCH_SAMPLES) * len(self.pairs) + pair
+        at = (row // search_samples) * len(self.pairs) + pair
         worst = worst.flatten().scatter_reduce(0, at, short, "amax").reshape(worst.shape)
-        return _PENALTY * worst.sum(-1).reshape(q.shape[:-2])
+        # 2.0: beside the logarithm of a condition number, for FAR too little
+        return 2.0 * worst.sum(-1).reshape(q.shape[:-2])
 
     def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
         """Whether each motion keeps the distances all along."""
@@ -121,7 +113,8 @@ class Clearance(Restriction):
         with torch.no_grad():
             q = trajectory.at(_times(trajectory)).q
             # A few of the instants refuse most motions that come too near.
-            few_and_all = (self.apart(x, BETWEEN) - self.needed for x in (q[::_FEW], q))
+            # 16: every so many of them are looked at first
+            few_and_all = (self.apart(x, BETWEEN) - self.needed for x in (q[::16], q))
             return torch.tensor(all(bool((spare >= BETWEEN).all()) for spare in few_and_all))
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
@@ -302,16 +295,19 @@ def _sensible(made: Clearance, solids: int) -> Clearance:
     comes after the solids is half-spaces."""
     lower, upper = position_limits(made.robot)[0].unbind(-1)
     generator = torch.Generator().manual_seed(0)
-    drawn = torch.rand((_POSTURES, made.robot.n), generator=generator, dtype=torch.float64)
+    # 512: of which pairs are asked whether they are ever clear
+    drawn = torch.rand((512, made.robot.n), generator=generator, dtype=torch.float64)
     zero = torch.zeros_like(lower).clamp(lower, upper)
     apart = made.apart(torch.cat([zero.unsqueeze(0), lower + drawn * (upper - lower)]))
     largest, smallest = apart.amax(0), apart.amin(0)
     wall = made.pairs[:, 0] >= solids
     # A link that turns on the floor is as near to it whatever the motion. Of what is far, it is
     # only known that it is far.
-    still = (largest - smallest < RESOLUTION) & (largest < made.needed + FAR_ROOM - RESOLUTION)
-    overlap = ~wall & ((apart[0] < 0) | (largest < RESOLUTION))
-    close = ~wall & ~overlap & ~still & (largest < made.needed + RESOLUTION)
+    # Distance below which nothing is told apart [m]
+    resolution = 0.001
+    still = (largest - smallest < resolution) & (largest < made.needed + FAR_ROOM - resolution)
+    overlap = ~wall & ((apart[0] < 0) | (largest < resolution))
+    close = ~wall & ~overlap & ~still & (largest < made.needed + resolution)
 
     def named(which: Tensor) -> str:
         both = ([made.names[k] for k in pair] for pair in made.pairs[which].tolist())
@@ -332,14 +328,16 @@ def _sensible(made: Clearance, solids: int) -> Clearance:
         made,
         pairs=made.pairs[kept],
         needed=needed[kept],
-        room=(largest - needed).clamp(RESOLUTION, FAR_ROOM)[kept],
+        room=(largest - needed).clamp(resolution, FAR_ROOM)[kept],
         notes=tuple(notes),
     )
 
 
 def _times(trajectory: FourierTrajectory | Sinusoid) -> Float[Tensor, " T"]:
     """Instants from 0 to the duration."""
-    count = math.ceil(max(_FEWEST, _PER_PERIOD * trajectory.duration * trajectory.fastest))
+    # 200: instants a period of the fastest harmonic
+    # 500: instants at least
+    count = math.ceil(max(500, 200 * trajectory.duration * trajectory.fastest))
     return torch.linspace(0, trajectory.duration, count + 1, dtype=torch.float64)
 
 

@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.base import JointEffect, Motion
+from torchid.effects.names import EXCITED_EFFECTS
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.excitation.clearance import Clearance
@@ -32,7 +33,7 @@ from torchid.excitation.fourier import FourierTrajectory, midpoints, stacked
 from torchid.excitation.limits import motion_limits
 from torchid.excitation.restriction import AllOf
 from torchid.excitation.search import HARDLY, Progress, search
-from torchid.excitation.settings import DURATION, EXCITED_EFFECTS, HARMONICS, RESTARTS, USAGE
+from torchid.excitation.settings import DURATION, HARMONICS, RESTARTS, USAGE
 from torchid.excitation.torque import (
     TorqueLimits,
     identified_torque_limits,
@@ -53,11 +54,8 @@ from torchid.typing import Bool, Float
 Criterion = Literal["condition", "d_optimal"]
 Goal = Literal["a_optimal", "d_optimal"]
 
-LEAST_KNOWN = 30.0
-"""Relative standard deviation from which a parameter counts as little known [%]."""
 
 _RATE = 50.0  # [Hz], for the condition numbers that are reported
-_SAMPLES = 100  # instants during the search: five a second, the regressor's fastest harmonics need
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -340,7 +338,8 @@ def _designed(
         root, size = _root(prior, added)
         return -(root.diagonal(dim1=-2, dim2=-1).log() + size.log()).mean(-1)
 
-    few, many = midpoints(start.duration, _SAMPLES), _times(prior, start.duration)
+    # 100: instants during the search: five a second, the regressor's fastest harmonics need
+    few, many = midpoints(start.duration, 100), _times(prior, start.duration)
     return search(
         start, motion_limits(robot, usage=kept.usage),
         lambda x: cost(x, few), lambda x: cost(x, many), iterations, progress, kept=kept,
@@ -351,7 +350,8 @@ def least_known(prior: Prior) -> Bool[Tensor, " B"]:
     """Parameters whose relative standard deviation exceeds 30 %, or that are not known at all; all
     where there are none."""
     relative = 100 * prior.std / prior.values.abs().clamp(min=1e-300)
-    out = ~prior.known | (relative > LEAST_KNOWN)
+    # 30.0: relative standard deviation from which a parameter counts as little known [%]
+    out = ~prior.known | (relative > 30.0)
     return out if bool(out.any()) else torch.ones_like(out)
 
 

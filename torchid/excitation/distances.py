@@ -11,8 +11,6 @@ from torchid.robot.placement import pose
 from torchid.robot.solids import Solid
 from torchid.typing import Float, Int, Tensor
 
-_SMALLEST = 1e-6  # [m], of sizes that MuJoCo takes
-
 
 class Distances:
     """Signed distances between solids and half-spaces.
@@ -98,7 +96,9 @@ def _add(mujoco: Any, spec: Any, solid: Solid) -> None:
     at, kind = solid.pose, str(solid.kind)
     if kind == "capsule" and float(solid.size[1]) == 0:
         kind = "sphere"
-    more: dict[str, Any] = {"size": solid.size.clamp(min=_SMALLEST).tolist()}
+    # [m], of sizes that MuJoCo takes
+    smallest = 1e-6
+    more: dict[str, Any] = {"size": solid.size.clamp(min=smallest).tolist()}
     if solid.corners is not None and solid.volume > 0:
         kind, name = "mesh", f"mesh_{len(spec.meshes)}"
         spec.add_mesh(name=name, uservert=solid.corners.flatten().tolist())
@@ -107,7 +107,7 @@ def _add(mujoco: Any, spec: Any, solid: Solid) -> None:
         # A flat mesh has no hull: it is the thin box of its corners.
         low, high = solid.corners.amin(0), solid.corners.amax(0)
         at, kind = at @ pose(None, (low + high) / 2), "box"
-        more = {"size": ((high - low) / 2).clamp(min=_SMALLEST).tolist()}
+        more = {"size": ((high - low) / 2).clamp(min=smallest).tolist()}
     spec.worldbody.add_geom(
         type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"),
         pos=at[:3, 3].tolist(),

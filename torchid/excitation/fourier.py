@@ -134,7 +134,7 @@ class FourierTrajectory:
         return replace(self, a=self.a * factor.unsqueeze(-1), b=self.b * factor.unsqueeze(-1))
 
     def at_speed(self, speed: float) -> "FourierTrajectory":
-        """The same path at `speed` times the velocity, in 1 / speed times the duration."""
+        """This path at `speed` times the velocity, in 1 / speed times the duration."""
         return replace(
             self,
             a=self.a * speed,

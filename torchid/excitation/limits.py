@@ -11,8 +11,6 @@ from torchid.excitation.fourier import FourierTrajectory
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float
 
-_ROUNDING = 1e-9  # what a scale stays below the exact one, relative
-
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
@@ -124,4 +122,5 @@ def largest_scale(trajectory: FourierTrajectory, limits: MotionLimits) -> Float[
         up = bounds[..., 1] / extremes[..., 1].clamp(min=1e-12)
         down = bounds[..., 0] / extremes[..., 0].clamp(max=-1e-12)
         scale = torch.minimum(scale, torch.minimum(up, down))
-    return scale * (1 - _ROUNDING)
+    # 1e-9: what a scale stays below the exact one, relative
+    return scale * (1 - 1e-9)

@@ -21,8 +21,6 @@ from torchid.excitation.trajectories import Sinusoid
 from torchid.robot.model import Robot
 from torchid.typing import Bool, Float, Tensor
 
-_HALVINGS = 12
-_POSTURES = 2048
 _WIDTHS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the range, around the best posture so far
 
 Planned = TypeVar("Planned", FourierTrajectory, Sinusoid, FourierTrajectory | Sinusoid)
@@ -66,7 +64,8 @@ class Restriction(ABC):
         if bool(fits.all()):
             return trajectory
         low, high = fits.double(), torch.ones(fits.shape, dtype=torch.float64)
-        for _ in range(_HALVINGS):
+        # 12: halvings, which find a scale to 1 in 4000
+        for _ in range(12):
             middle = (low + high) / 2
             inside = fits | self.fits(trajectory.towards(self.rest, middle))
             low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
@@ -87,7 +86,8 @@ class Restriction(ABC):
         generator = torch.Generator().manual_seed(0)
         best = bounds.mean(-1)
         for width in _WIDTHS:
-            drawn = torch.rand((_POSTURES, self.robot.n), generator=generator, dtype=torch.float64)
+            # 2048: postures of the whole range
+            drawn = torch.rand((2048, self.robot.n), generator=generator, dtype=torch.float64)
             near = (best + width * (upper - lower) * (drawn - 0.5)).clamp(lower, upper)
             tried = torch.cat([best.unsqueeze(0), near])
             best = tried[self.strain(tried).argmin()]
@@ -111,7 +111,7 @@ class AllOf(Restriction):
 
     @classmethod
     def of(cls, robot: Robot, usage: float, *parts: Restriction | None) -> "AllOf":
-        """Of those that there are."""
+        """All restrictions that there are, as one."""
         return cls(robot, usage, tuple(part for part in parts if part is not None))
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*#batch"]:
@@ -127,7 +127,7 @@ class AllOf(Restriction):
         return fits
 
     def strain(self, q: Float[Tensor, "K n"]) -> Float[Tensor, " K"]:
-        """The largest."""
+        """The largest strain of all restrictions."""
         return torch.stack([part.strain(q) for part in self.parts]).amax(0)
 
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:

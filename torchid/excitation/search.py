@@ -35,10 +35,7 @@ HARDLY = math.log(LONGER) / 2
 POPULATION = 16
 """Of CMA-ES."""
 
-_LEARNING_RATE = 0.1
 _FIRST, _SECOND, _LEAST = 0.9, 0.999, 1e-8  # of Adam: decay of its two moments, and its epsilon
-_SPREAD = 0.3  # of CMA-ES
-_CENTRE_SHARE = 0.9  # of the half range that q0 may use, so that no scale is lost to 0
 _SLOWEST, _FASTEST = 0.02, 0.98  # shares of the scale between which a search starts
 
 
@@ -59,7 +56,8 @@ class _Numbers:
 
     @property
     def _reach(self) -> Float[Tensor, " n"]:
-        return _CENTRE_SHARE * self.limits.half_range
+        # 0.9: of the half range that q0 may use, so that no scale is lost to 0
+        return 0.9 * self.limits.half_range
 
     def of(self, x: FourierTrajectory) -> Float[Tensor, "K n C"]:
         """Numbers of series within the limits."""
@@ -69,7 +67,7 @@ class _Numbers:
         return torch.cat([x.coefficients / size, torch.stack([place, share], -1)], -1)
 
     def series(self, numbers: Float[Tensor, "K n C"]) -> FourierTrajectory:
-        """The series; differentiable."""
+        """Trajectories of the numbers that are tried; differentiable."""
         a, b = numbers[..., :-2].chunk(2, -1)
         place, share = numbers[..., -2:].unbind(-1)
         q0 = self.limits.middle + self._reach * torch.tanh(place)
@@ -100,7 +98,8 @@ class Adam:
         (g,) = torch.autograd.grad(costs.sum(), self._now)
         self._count += 1
         # Along a cosine to zero.
-        rate = _LEARNING_RATE * (1 + math.cos(math.pi * done)) / 2
+        # 0.1: learning rate at the start
+        rate = 0.1 * (1 + math.cos(math.pi * done)) / 2
         size, root = rate / (1 - _FIRST**self._count), math.sqrt(1 - _SECOND**self._count)
         self._first.lerp_(g, 1 - _FIRST)
         self._second.mul_(_SECOND).addcmul_(g, g, value=1 - _SECOND)
@@ -121,7 +120,8 @@ class Evolution:
             "CMA_stds": stds.flatten().numpy(),
         }  # fmt: skip
         self._shape, self._tried = start.shape[1:], [start[-1].flatten().numpy()]
-        self._search: Any = cma.CMAEvolutionStrategy(self._tried[0], _SPREAD, options)
+        # 0.3: of CMA-ES
+        self._search: Any = cma.CMAEvolutionStrategy(self._tried[0], 0.3, options)
 
     def ask(self) -> Float[Tensor, "K n C"]:
         """Numbers to be tried."""

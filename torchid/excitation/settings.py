@@ -1,7 +1,5 @@
 """Defaults of designed motions, for the functions and, without torch, for the command line."""
 
-EXCITED_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
-"""That a motion is designed for by default."""
 DURATION = 20.0
 """[s]"""
 HARMONICS = 5

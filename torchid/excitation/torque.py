@@ -29,13 +29,6 @@ MARGIN = 0.01
 NOMINAL, CORRECTED = "nominal parameters", "corrected model"
 """Models, for people: the robot's own, and that of a diagnosis."""
 
-_PENALTY = 2.0  # beside the logarithm of a condition number, for torque of twice its limit
-_SEARCH_MARGIN = 0.02  # the search's instants are further apart
-_SEARCH_SAMPLES = 150
-_RATE = 100.0  # [Hz] at least, of the instants that torque is checked at
-_PER_PERIOD = 250  # instants a period of the fastest harmonic, at least
-_FEWEST = 500
-
 
 @dataclass(frozen=True, eq=False)
 class TorqueUse:
@@ -107,9 +100,12 @@ class TorqueLimits(Restriction):
 
     def penalty(self, trajectory: FourierTrajectory) -> Float[Tensor, "*batch"]:
         """What a search pays for torque beyond the limits; differentiable, 0 within them."""
-        t = midpoints(trajectory.duration, _SEARCH_SAMPLES)
-        excess = self._shares(self._along(trajectory, t)) / (1 - _SEARCH_MARGIN) - 1
-        return _PENALTY * excess.clamp(min=0).sum(-1)
+        # 150: instants of a trajectory during the search
+        t = midpoints(trajectory.duration, 150)
+        # 0.02: the search's instants are further apart
+        excess = self._shares(self._along(trajectory, t)) / (1 - 0.02) - 1
+        # 2.0: beside the logarithm of a condition number, for torque of twice its limit
+        return 2.0 * excess.clamp(min=0).sum(-1)
 
     def fits(self, trajectory: FourierTrajectory | Sinusoid) -> Bool[Tensor, "*batch"]:
         """Whether each motion keeps the torque limits at every instant."""
@@ -222,5 +218,8 @@ def _of_limit(tau: Float[Tensor, "*batch n"], limits: Float[Tensor, "n 2"]) -> T
 def _instants(trajectory: FourierTrajectory | Sinusoid) -> Float[Tensor, " T"]:
     """Times from 0 to the duration at which torque is checked."""
     d = trajectory.duration
-    count = math.ceil(max(_FEWEST, _RATE * d, _PER_PERIOD * d * trajectory.fastest))
+    # 100.0 Hz: at least, of the instants that torque is checked at
+    # 250: instants a period of the fastest harmonic, at least
+    # 500: instants at least
+    count = math.ceil(max(500, 100.0 * d, 250 * d * trajectory.fastest))
     return torch.linspace(0, d, count + 1, dtype=torch.float64)

@@ -22,13 +22,6 @@ from torchid.robot.model import Robot
 from torchid.typing import Float
 from torchid.yaml_data import parsed_yaml
 
-LARGEST_COEFFICIENT = 0.5
-"""Random a and b lie within +-0.5 rad/s, as in table 5.1."""
-
-_CENTRE_SHARE = 0.2  # of the half range; table 5.1 has q0 within +-0.5 of +-2.9 rad
-_SHORTEST_PERIOD_SHARE = 0.2  # of a sinusoid's duration
-_SMALLEST_SPEED_SHARE = 0.3  # of the fastest that the limits allow
-
 
 def paper_trajectories_3r() -> FourierTrajectory:
     """The three trajectories of table 5.1, a batch (3,), with the coefficients as printed.
@@ -80,8 +73,10 @@ def random_trajectory(
     def uniform(*size: int) -> Tensor:
         return 2 * torch.rand(size, generator=generator, dtype=torch.float64) - 1
 
-    a, b = (LARGEST_COEFFICIENT * uniform(*shape, harmonics) for _ in range(2))
-    q0 = limits.middle + _CENTRE_SHARE * limits.half_range * uniform(*shape)
+    # 0.5: random a and b lie within +-0.5 rad/s, as in table 5.1
+    a, b = (0.5 * uniform(*shape, harmonics) for _ in range(2))
+    # 0.2: of the half range; table 5.1 has q0 within +-0.5 of +-2.9 rad
+    q0 = limits.middle + 0.2 * limits.half_range * uniform(*shape)
     raw = FourierTrajectory(a, b, q0, w_f, duration, ramp, limits.warnings)
     scale = largest_scale(raw, limits)
     found = raw.scaled(scale if fill else scale.clamp(max=1.0))
@@ -112,7 +107,7 @@ class Sinusoid:
         return 1 / float(self.period.min())
 
     def at_speed(self, speed: float) -> "Sinusoid":
-        """The same path at `speed` times the velocity, in 1 / speed times the duration."""
+        """This path at `speed` times the velocity, in 1 / speed times the duration."""
         return replace(
             self,
             amplitude=self.amplitude * speed,
@@ -169,14 +164,18 @@ def sinusoid(robot: Robot, seed: int, *, duration: float = 10.0, usage: float = 
     period, size, sign, place = torch.rand(
         4, robot.n, generator=generator, dtype=torch.float64
     ).unbind()
-    period = duration * (_SHORTEST_PERIOD_SHARE + (1 - _SHORTEST_PERIOD_SHARE) * period)
+    # of a sinusoid's duration
+    shortest_period_share = 0.2
+    period = duration * (shortest_period_share + (1 - shortest_period_share) * period)
     # A sinusoid goes as far up as down: of both limits the smaller counts.
     speed, acceleration = (x.abs().amin(-1) for x in (limits.velocity, limits.acceleration))
     largest = torch.minimum(
         torch.minimum(speed, acceleration * period / (2 * math.pi)),
         2 * limits.half_range * math.pi / period,
     ) * (1 - 1e-9)
-    amplitude = largest * (_SMALLEST_SPEED_SHARE + (1 - _SMALLEST_SPEED_SHARE) * size)
+    # of the fastest that the limits allow
+    smallest_speed_share = 0.3
+    amplitude = largest * (smallest_speed_share + (1 - smallest_speed_share) * size)
     amplitude = torch.where(sign < 0.5, -amplitude, amplitude)
     stroke = amplitude * period / math.pi
     lowest = limits.position[:, 0] - stroke.clamp(max=0)

@@ -2,13 +2,12 @@
 can read the file."""
 
 import math
-import os
 import secrets
 import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +19,7 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import Valued
 from torchid.errors import TorchidError
 from torchid.export.c_code import CFile, identifier
+from torchid.files import discard, place
 from torchid.results.record import Col, Part
 from torchid.robot.config_files import filled_template
 from torchid.typing import Joints
@@ -170,7 +170,8 @@ def require_agreement(comparisons: Sequence[Comparison]) -> tuple[Comparison, ..
 
 @contextmanager
 def staged_files(folder: Path, files: Mapping[str, bytes | None]) -> Iterator[dict[str, Path]]:
-    """Write files under hidden names, and give them their own when the block ends well.
+    """Write files under hidden names, and give them their own when the block ends well, or, in a
+    command, with all else that it writes.
 
     The hidden names keep the stem's relation between a file and its sidecar, and lie in the same
     folder, so that relative references hold. On any error nothing is left, and files that were
@@ -189,15 +190,11 @@ def staged_files(folder: Path, files: Mapping[str, bytes | None]) -> Iterator[di
         for name, path in paths.items():
             path.write_bytes(files[name] or b"")
         yield paths
-        for name, path in paths.items():
-            os.replace(path, folder / name)
-        for name in set(files) - set(paths):
-            (folder / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise TorchidError(
-            f"the export cannot be written to '{folder}': {error.strerror or error}."
-        ) from error
-    finally:
-        for path in paths.values():
-            with suppress(OSError):
-                path.unlink()
+        place({folder / name: paths.get(name) for name in files})
+    except BaseException as error:
+        discard({path: path for path in paths.values()})
+        if isinstance(error, OSError):
+            raise TorchidError(
+                f"the export cannot be written to '{folder}': {error.strerror or error}."
+            ) from error
+        raise

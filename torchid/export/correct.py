@@ -55,6 +55,7 @@ def correct(
     settings: GapSettings | None = None,
     with_effects: bool | Package = False,
     keep: Sequence[Path] = (),
+    plain: bool = False,
 ) -> Correction:
     """Write a robot as a simulator's file can say it, refitted to a log, and run in its engine.
 
@@ -72,6 +73,7 @@ def correct(
             no field: it lies in a sidecar, and is added at run time. With a package's name that
             package's actuator class is written, too.
         keep: files that are never overwritten.
+        plain: leave set points of servos out of the file, which are joints there.
 
     Raises:
         LogError: logs that do not fit the robot.
@@ -96,7 +98,16 @@ def correct(
     robot.require_fixed_base("a correction")
     file_format(to)
     asked = CorrectionRequest(
-        robot, log, to, Path(folder), name, held_out, settings or GapSettings(), with_effects, keep
+        robot,
+        log,
+        to,
+        Path(folder),
+        name,
+        held_out,
+        settings or GapSettings(),
+        with_effects,
+        keep,
+        plain,
     )
     if isinstance(full, PositionDiagnosis | ServoArm):
         require_field(to, robot, log)

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 import torch
 
+from torchid.effects.servo import INDEX
 from torchid.errors import TorchidError
 from torchid.export.correction import (
     Correction,
@@ -26,6 +27,7 @@ from torchid.export.servo_mjcf import (
     SAID,
     STOPS,
     ServosInMujoco,
+    said_in_mjcf,
     unsaid_parameters,
     write_servos,
 )
@@ -39,7 +41,6 @@ from torchid.position.model import ServoArm
 from torchid.position.replay import replay
 from torchid.results.cause import held_out_words
 from torchid.robot.model import Robot, error_unit
-from torchid.simulation.servo import INDEX
 from torchid.simulation.servo_loop import windows_of
 from torchid.simulators.servo import AS_EFFORT, AT_RUN_TIME, SetPoints
 from torchid.typing import Bool, Float, Tensor
@@ -83,14 +84,15 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     on, data = log, fitted
     if asked.held_out is not None:
         on, data = asked.held_out, _prepared(arm, asked.held_out)
-    alone, running = refitted(arm, fitted, SAID, (*SAID, *AT_RUN_TIME))
+    said = said_in_mjcf(arm.servos, set_points=not asked.plain)
+    alone, running = refitted(arm, fitted, said, (*SAID, *AT_RUN_TIME))
     limits = _limits(robot)
     reach = torch.stack([fitted.q.amin(0), fitted.q.amax(0)], 1)
     passed = torch.stack([reach[:, 0] < limits[:, 0], reach[:, 1] > limits[:, 1]], 1)
     guessed = fitted.scale != 1
     own, beside = (
-        _in_engine(robot, _rigid(one, robot, reach, passed, guessed), data)
-        for one in (alone, running)
+        _in_engine(robot, _rigid(one, robot, reach, passed, guessed), data, by_file)
+        for one, by_file in ((alone, not asked.plain), (running, False))
     )
     judged = Judged(
         unit=error_unit(robot),
@@ -105,7 +107,7 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
         by=own[2],
     )
     _require_follows(judged)
-    no_field = unsaid_parameters(arm.servos, SAID)
+    no_field = unsaid_parameters(arm.servos, said)
     words = f"'{robot.name}' with servos, corrected and refitted to mjcf"
     others = [f"{name}{of_joints(joints)}" for name, joints in no_field.items()]
     files = [asked.write(own[0], words + without_field(others))]
@@ -192,14 +194,16 @@ def _rigid(
 
 
 def _in_engine(
-    robot: Robot, arm: ServoArm, data: PositionData
+    robot: Robot, arm: ServoArm, data: PositionData, set_points: bool
 ) -> tuple[Dynamics, Float[Tensor, " n"], str]:
-    """What a file with these servos holds, how far MuJoCo with it is from the log, and its name."""
-    dynamics = servo_dynamics(arm, SetPoints(arm.servos, data.tracks.dt).late)
+    """What a file with these servos holds, how far MuJoCo with it is from the log, and its name;
+    `set_points` as in `write_servos`."""
+    late = SetPoints(arm.servos, data.tracks.dt).late
+    dynamics = servo_dynamics(arm, late, set_points)
     with TemporaryDirectory() as drafts:
         path = Path(drafts) / "servos.xml"
         written, file, _, _ = xml_of(dynamics.robot, path, edited_of(robot, "mjcf"), "mjcf")
-        write_servos(file, written, arm.servos, robot.source, dynamics.late)
+        write_servos(file, written, arm.servos, robot.source, dynamics.late, set_points=set_points)
         path.write_bytes(file.to_bytes())
         engine = ServosInMujoco(path, written)
         windows = windows_of(data.tracks, WINDOW_S)

@@ -39,6 +39,7 @@ class CorrectionRequest:
     settings: GapSettings
     with_effects: bool | Package
     keep: Sequence[Path]
+    plain: bool = False
 
     @property
     def stem(self) -> str:

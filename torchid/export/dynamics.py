@@ -36,6 +36,7 @@ class Dynamics:
         arm: with servos, whose damping, dry friction and armature are effects of the robot; None
             where no servos are known.
         late: (n,) by how much their commands are late by being held [s]; None for not at all.
+        set_points: as in `torchid.export.servo_mjcf.write_servos`.
     """
 
     robot: Robot
@@ -45,6 +46,7 @@ class Dynamics:
     warnings: tuple[str, ...] = ()
     arm: ServoArm | None = None
     late: Float[Tensor, " n"] | None = None
+    set_points: bool = False
 
     def torque(self, motion: Motion) -> Joints:
         """Torque (..., n) [N m; N] of the result's own model."""

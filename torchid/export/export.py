@@ -1,7 +1,7 @@
 """Write a result's dynamics in another format, reload them, and compare before they are kept."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +12,10 @@ from torchid.export.checks import Comparison
 from torchid.export.dynamics import Dynamics, effect_text, nearest_representative, random_states
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, Places
+from torchid.export.releases import has_field, lacking
 from torchid.export.results import Exportable, dynamics_of
-from torchid.export.servo_mjcf import ANCHOR, JOINTS, SAID, unsaid_parameters
+from torchid.export.servo_mjcf import ANCHOR, JOINTS, said_in_mjcf, unsaid_parameters
+from torchid.export.set_points import followed
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_yaml
 from torchid.export.write_usd import SAID as IN_LAYER
@@ -30,6 +32,7 @@ from torchid.robot.config_files import is_urdf
 from torchid.robot.mjcf import mjcf_servos
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.origin import of_own_file
+from torchid.simulation.servo import Servos
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
@@ -37,6 +40,11 @@ Format = Literal["urdf", "mjcf", "yaml", "c", "usd", "isaaclab", "mjlab"]
 SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
 SUFFIXES |= {"yaml": ".yaml", "c": ".c", "usd": "_joints.usda"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
+_SET_POINTS = (
+    "set points of servos are joints of the file (torchid_set_point_*): commands are its first "
+    "controls, and where a simulation begins, set points are where the joints are; `plain` leaves "
+    "them out"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +121,7 @@ def export_dynamics(
     force: bool = False,
     seed: int = 0,
     keep: Sequence[Path] = (),
+    plain: bool = False,
 ) -> Export:
     """Write dynamics to `folder`, once what was written has been reloaded and compared.
 
@@ -133,6 +142,7 @@ def export_dynamics(
         force: write infeasible parameters, too.
         seed: of the states of the comparison.
         keep: files that are never overwritten, beside those of the robot and the original.
+        plain: leave set points of servos out of an MJCF, which are joints there.
 
     Raises:
         TorchidError: infeasible parameters that are not forced, frames that are not the original's,
@@ -151,6 +161,9 @@ def export_dynamics(
     original = None if original is None else as_robot(original)
     nominal.require_fixed_base("an export")
     dynamics, folder = dynamics_of(result, nominal), Path(folder)
+    # What was refitted has been fitted with set points, or without.
+    if dynamics.arm is not None and dynamics.late is None and to == "mjcf" and not plain:
+        dynamics = replace(dynamics, set_points=True)
     name = stem_of(nominal) if name is None else name
     require_name(name)
     path = folder / f"{name}{SUFFIXES[to]}"
@@ -231,20 +244,30 @@ def _bodies(
 
 
 def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
-    """What of servos that were not refitted a format does not say."""
-    if dynamics.arm is None or dynamics.late is not None:
+    """What of servos that were not refitted a format does not say, and what set points ask for."""
+    if dynamics.arm is None:
         return ()
-    own = {"mjcf": SAID, "usd": IN_LAYER}
-    said = AS_EFFORT if to in get_args(Package) else own.get(to, JOINTS)
-    names = unsaid_parameters(dynamics.arm.servos, said)
+    servos = dynamics.arm.servos
+    words = (_SET_POINTS,) * (dynamics.set_points and bool(followed(servos).any()))
+    if to == "mjcf" and not has_field("pid"):
+        asked = said_in_mjcf(servos, set_points=dynamics.set_points)
+        lost = [x for x in ("integral", "speed") if x in unsaid_parameters(servos, asked)]
+        words += (f"{lacking('pid')}, so {' and '.join(lost)} of servos is left out",) * bool(lost)
+    if dynamics.late is not None:
+        return words
+    said: Collection[str] | Servos = {"usd": IN_LAYER}.get(to, JOINTS)
+    said = AS_EFFORT if to in get_args(Package) else said
+    if to == "mjcf":
+        said = said_in_mjcf(servos, set_points=dynamics.set_points)
+    names = unsaid_parameters(servos, said)
     if not names:
-        return ()
+        return words
     hint = ""
     if to == "mjcf":
         hint = "; torchid.simulators.servo makes them at run time, and `log=...` refits the others"
     elif to not in get_args(Package):
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
-    return (f"of the servos {', '.join(names)} are not in it{hint}",)
+    return (f"of the servos {', '.join(names)} are not in it{hint}", *words)
 
 
 def _of_ratios(ratios: Mapping[int, float]) -> tuple[str, ...]:

@@ -303,11 +303,12 @@ class Projector:
             torque = torch.stack([self.columns.torque(*pair) for pair in pairs]).sum(0)
             z = (torque * self.weight).flatten()
             x = response(self.quadratic, self.room, self.found, weighted @ z)
-            left = float((z - x @ weighted).norm() / z.norm().clamp(min=1e-300))
             made, lost = (
                 float(((one * self.data.keep).square().sum(1) / counts).sum().sqrt())
                 for one in (torque, torque - torch.tensordot(x, matrix, 1))
             )
+            lost = min(lost, made)  # what the fit makes for others is not of this effect
+            share = 1 - lost / max(made, 1e-300)
             # The field that carries most of what is kept; all bodies are one.
             most = float((x[:bodies] @ weighted[:bodies]).norm())
             joints = tuple(sorted({j for effect, _ in pairs for j in effect.joints}))
@@ -316,5 +317,5 @@ class Projector:
                 at = [bodies + k for k in own]
                 if (size := float((x[at] @ weighted[at]).norm())) > most:
                     most, carrier = size, (word, j, float(self.found.coefficients[own[0]]))
-            out.append(Kept(pairs[0][0].name, joints, max(0.0, 1 - left), *carrier, made, lost))
+            out.append(Kept(pairs[0][0].name, joints, share, *carrier, made, lost))
         return tuple(sorted(out, key=lambda one: one.share))

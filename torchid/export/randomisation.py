@@ -15,6 +15,7 @@ from torchid.effects.base import Effect
 from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import Valued
+from torchid.effects.servo import NAMES
 from torchid.effects.spring import JointSpring
 from torchid.errors import TorchidError
 from torchid.export.dynamics import records
@@ -25,7 +26,7 @@ from torchid.files import atomic_write, require_name
 from torchid.results.record import Result
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import JointType, Robot
-from torchid.simulation.servo import NAMES, Servos
+from torchid.simulation.servo import Servos
 from torchid.typing import Float, Tensor
 
 FIELDS: dict[str, tuple[type[Effect], int]] = {

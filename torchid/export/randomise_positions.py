@@ -12,13 +12,14 @@ import msgspec
 import torch
 from msgspec import UNSET
 
+from torchid.effects.servo import INDEX, PARAMETERS
 from torchid.errors import TorchidError
 from torchid.export.randomisation import Randomisation, normal_points, range_row, sobol_points
 from torchid.export.record import RangeRow
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.record import PositionRecord
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 
 
 def randomise_positions(

@@ -111,13 +111,13 @@ class Kept(Part, frozen=True, rename={"share": "kept", "field": "by"}):
 
     Attributes:
         effect, joints: its name, and joints from 0 (none: of the whole arm).
-        share: 1 - rms of what the refitted fields leave of its torque, over its rms; between 0
-            and 1, over the samples and joints of the fit, each joint in units of its noise.
+        share: what of its torque the refitted fields take over, 1 - lost / made.
         field, joint, value: the field that carries most of it (`damping`, ..., `bodies`), of which
             joint from 0, and what it has become there [its unit] (of a curve of damping the part in
             proportion to speed); None of bodies.
-        made, lost: RMS of its torque while joints move, and of what the fields leave of it; of
-            several joints as root of the sum of their mean squares [N m; N].
+        made, lost: RMS of its torque while joints move, and of what the fields leave of it, all of
+            it where they come no nearer; of several joints as root of the sum of their mean squares
+            [N m; N].
     """
 
     effect: Annotated[str, Col(words=effect_words)]

@@ -256,13 +256,16 @@ def robot_dynamics(robot: Robot) -> Dynamics:
     return Dynamics(robot, "robot", f"the parameters of {Path(robot.source).name or robot.name}")
 
 
-def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dynamics:
+def servo_dynamics(
+    arm: ServoArm, late: Float[Tensor, " n"] | None = None, set_points: bool = False
+) -> Dynamics:
     """A robot with its servos, whose damping, dry friction and armature are its joints', in the
     place of those that its file has: of these, servos are fitted beside springs alone.
 
     Args:
         arm: robot and servos.
         late: (n,) by how much commands are late by being held [s].
+        set_points: as in `torchid.export.servo_mjcf.write_servos`.
 
     Raises:
         RobotError: it has no parameters.
@@ -279,7 +282,7 @@ def servo_dynamics(arm: ServoArm, late: Float[Tensor, " n"] | None = None) -> Dy
     ]
     springs = [e for e in arm.robot.effects if e["effect"] == JointSpring.name]
     robot = replace(arm.robot, effects=(*springs, *records(pairs)))
-    return replace(own, robot=robot, arm=arm, late=late)
+    return replace(own, robot=robot, arm=arm, late=late, set_points=set_points)
 
 
 def _beside(

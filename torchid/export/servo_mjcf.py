@@ -4,11 +4,13 @@ of them: their force, and where the arm goes with a log's commands.
     force = kp (scale u - q) - kd dq, clipped, + offset; u late by a delay and through a filter
 
 Damping, dry friction and armature are the joint's. Commands hold until the next one, as simulators
-do it, so what is held is part of a servo's delay. `torchid.simulators.servo.SetPoints` adds at run
-time what a servo makes of its commands before it controls. What a point of the arm may touch is a
+do it, so what is held is part of a servo's delay. What a servo makes of its commands before it
+controls are virtual joints (`torchid.export.set_points`), or is added at run time
+(`torchid.simulators.servo.SetPoints`). What a point of the arm may touch is a
 plane, with which that point alone collides.
 """
 
+import dataclasses
 import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -19,10 +21,20 @@ import torch
 
 from torchid.digits import number
 from torchid.dynamics.forward import mass_matrix
+from torchid.effects.servo import INDEX, PARAMETERS
 from torchid.errors import TorchidError
 from torchid.export.checks import EXACT, Comparison, relative_difference
 from torchid.export.engines import LoadedInMujoco, without_warnings
 from torchid.export.mjcf import Bodies
+from torchid.export.releases import has_field
+from torchid.export.set_points import (
+    SetPointsInMujoco,
+    followed,
+    lengthen_keyframes,
+    most_sum,
+    remove_set_points,
+    write_set_point,
+)
 from torchid.export.xml_tree import (
     XmlFile,
     child,
@@ -36,9 +48,9 @@ from torchid.export.xml_tree import (
 )
 from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import JointType, Robot, Tip
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import CONTACT_DAMPING, Tracks, Windows, upwards
-from torchid.simulators.servo import SetPoints
+from torchid.simulators.servo import AT_RUN_TIME, SetPoints
 from torchid.typing import Float
 
 JOINTS = ("damping", "coulomb", "armature", "damping_share")
@@ -46,8 +58,8 @@ JOINTS = ("damping", "coulomb", "armature", "damping_share")
 STOPS = ("stop_low", "stop_high")
 PLANE = "plane"
 SAID = ("kp", *JOINTS, "offset", "delay", "scale", "lag", "clip", *STOPS, PLANE)
-"""Parameters of servos that an MJCF says. It says kd of the joint's rate, and not of the command's,
-which `AT_RUN_TIME` adds."""
+"""Parameters of servos that an MJCF says. It says kd of the joint's rate, and of the command's with
+set points alone, with which it says `AT_RUN_TIME`, too."""
 RATIOS_ALONE = (
     "Nothing anchors this joint's torques: kp, damping, friction and armature are right in their "
     "ratios to each other alone."
@@ -68,14 +80,38 @@ _STIFF = {"solreflimit": "0.004 1", "solimplimit": "0.9999 0.9999 0.001"}
 """Of an end stop: MuJoCo's own gives way by degrees where a servo presses on."""
 
 
-def unsaid_parameters(servos: Servos, names: Collection[str] = SAID) -> dict[str, tuple[int, ...]]:
-    """What of servos is not among the parameters of a file: names, with joints from 0."""
+def said_in_mjcf(servos: Servos, *, set_points: bool = False) -> Servos:
+    """Servos without what an MJCF does not say, by the fields that the installed MuJoCo has.
+
+    Args:
+        servos: one set.
+        set_points: as in `write_servos`.
+    """
+    joint = servos.joint.clone()
+    pointed = followed(servos) & set_points
+    # One actuator has a filter, or what <pid> has; behind a set point there is no filter in it.
+    pid = (pointed | (servos.of("lag") == 0)) & has_field("pid")
+    alone = pid & servos.of("acceleration").isinf()
+    said = dict.fromkeys(AT_RUN_TIME, pointed)
+    said |= {"integral": pid, "speed": pointed | (alone & set_points)}
+    for k, p in enumerate(PARAMETERS):
+        if p.name not in SAID:
+            joint[~said.get(p.name, torch.zeros_like(pid)), k] = p.neutral
+    return dataclasses.replace(servos, joint=joint)
+
+
+def unsaid_parameters(
+    servos: Servos, names: Collection[str] | Servos
+) -> dict[str, tuple[int, ...]]:
+    """What of servos is not among the parameters of a file, or not in the servos that it says:
+    names, with joints from 0."""
     out = {}
     for p in PARAMETERS:
-        joints = (servos.of(p.name) != p.neutral).nonzero().flatten().tolist()
-        if p.name not in names and joints:
+        lost = servos.of(p.name) != (names.of(p.name) if isinstance(names, Servos) else p.neutral)
+        joints = lost.nonzero().flatten().tolist()
+        if joints and (isinstance(names, Servos) or p.name not in names):
             out[p.name] = tuple(joints)
-    if float(servos.plane[4]) > 0 and PLANE not in names:
+    if float(servos.plane[4]) > 0 and not isinstance(names, Servos) and PLANE not in names:
         out[PLANE] = ()
     return out
 
@@ -87,6 +123,7 @@ def write_servos(
     source: str,
     late: Float[torch.Tensor, " n"] | None = None,
     ratios: Mapping[int, float] | None = None,
+    set_points: bool = False,
 ) -> None:
     """Put a <general> for every servo into a file, in the place of the joint's actuators.
 
@@ -98,11 +135,15 @@ def write_servos(
         late: by how much commands are late by being held [s]; None for not at all.
         ratios: of joints (from 0) whose torques nothing anchors: kp over that of the file before,
             which a comment says; NaN where the file had none.
+        set_points: whether limits of set points are in the file, those of acceleration as joints of
+            it, or left to run time.
 
     Raises:
         TorchidError: a joint of the robot has no name in the file.
     """
     root = file.root
+    remove_set_points(root)
+    before = _count(root)
     nodes = {n.get("name"): n for n in root.iter() if local(n) == "joint" and n.get("name")}
     unnamed = [name for name in robot.joint_names if name not in nodes]
     if unnamed:
@@ -115,12 +156,23 @@ def write_servos(
     degrees = not angles or angles[-1] == "degree"
     option = child(root, "option")
     step = STEP if option is None else float(option.get("timestep", STEP))
+    # All of them first, so that controls of joints come before those that nobody gives.
+    actuators = [_actuator(root, name) for name in robot.joint_names]
+    moving = followed(servos).nonzero().flatten().tolist() if set_points else []
+    written = said_in_mjcf(servos, set_points=set_points)
+    # Of the joint's own rate kd is in the file in any case.
+    written.joint[:, INDEX["kd"]] = servos.of("kd")
     for j, name in enumerate(robot.joint_names):
-        values = dict(zip(INDEX, servos.joint[j].tolist(), strict=True))
+        values = dict(zip(INDEX, written.joint[j].tolist(), strict=True))
         held = 0.0 if late is None else float(late[j])
         values["delay"] = max(values["delay"] - held, 0.0)
-        node = _actuator(root, name)
-        node.attrib.update(_general(values, step))
+        node, own = actuators[j], _general(values, step)
+        if j in moving:
+            # A filter and a limit of speed are the set point's.
+            own = _general(values | {"lag": 0.0, "speed": math.inf}, step)
+            write_set_point(root, node, values, own, robot.joint_types[j], step)
+        else:
+            node.attrib.update(own)
         if ratios and j in ratios:
             words = f"kp: {ratios[j]:.3g} x the file's. {RATIOS_ALONE}"
             if math.isnan(ratios[j]):
@@ -138,12 +190,19 @@ def write_servos(
             both = [e if math.isfinite(e) else g for e, g in zip(ends, given, strict=True)]
             span = " ".join(number(math.degrees(x) if turn else x) for x in both)
             nodes[name].attrib.update({"range": span, "limited": "true"} | _STIFF)
+    if moving:
+        lengthen_keyframes(root, _count(root) - before)
     # Those of an earlier export are not this arm's.
     ours = (_TOUCHED, _POINT)
     for node in [n for n in root.iter("{*}geom", "{*}pair") if n.get("name") in ours]:
         node.getparent().remove(node)
     if float(servos.plane[4]) > 0:
         _write_plane(root, robot, servos, source)
+
+
+def _count(root: Any) -> int:
+    """Actuators of a file."""
+    return sum(len([n for n in a if local(n)]) for a in children(root, "actuator"))
 
 
 def _write_plane(root: Any, robot: Robot, servos: Servos, source: str) -> None:
@@ -217,9 +276,38 @@ def _general(values: dict[str, float], step: float) -> dict[str, str]:
         out["forcerange"] = f"{number(offset - clip)} {number(offset + clip)}"
     if values["lag"] > 0:
         out["dynprm"] = number(values["lag"])
+    elif values["integral"] > 0 or math.isfinite(values["speed"]):
+        out |= _pid(values, kd)
     if values["delay"] > 0:
         held = math.ceil(values["delay"] / step) + 2
         out |= {"delay": number(values["delay"]), "nsample": str(held), "interp": "linear"}
+    return out
+
+
+def _pid(values: dict[str, float], kd: float) -> dict[str, str]:
+    """Attributes of an actuator with a limit of speed, or integral action: its error is that of the
+    command and of a length, so a gear of one over the scale takes the place of the scale.
+
+    MuJoCo takes the integral gain where others have one on the command.
+    """
+    scale, kp, offset, clip, sums = (
+        values[k] for k in ("scale", "kp", "offset", "clip", "integral")
+    )
+    speed = values["speed"] / abs(scale) if math.isfinite(values["speed"]) else 0.0
+    bias = [offset * scale, -kp * scale**2, -kd * scale**2]
+    out = {
+        "gear": f"{number(1 / scale)} 0 0 0 0 0",
+        "dyntype": "pid",
+        "gaintype": "pid",
+        "input": "pos",
+        "actdim": str(1 + (sums > 0 and speed > 0)),
+        "gainprm": f"{number(sums * scale**2)} 0 0",
+        "biasprm": text(bias),
+        "dynprm": text([most_sum(values) / abs(scale), speed]),
+    }
+    if math.isfinite(clip):
+        ends = sorted(scale * x for x in (offset - clip, offset + clip))
+        out["forcerange"] = text(ends)
     return out
 
 
@@ -238,13 +326,21 @@ class ServosInMujoco(LoadedInMujoco):
         super().__init__(path, robot)
         # Pairs that the file names stay.
         self.model.geom_contype[:] = self.model.geom_conaffinity[:] = 0
-        driven = self.model.actuator_trnid[:, 0].tolist()
-        joints = [int(self.model.dof_jntid[row]) for row in self.rows]
+        model, on_joint = self.model, int(self.mujoco.mjtTrn.mjTRN_JOINT)
+        driven = np.where(
+            model.actuator_trntype == on_joint, model.actuator_trnid[:, 0], -1
+        ).tolist()
+        joints = [int(model.dof_jntid[row]) for row in self.rows]
+        self.points = SetPointsInMujoco(self.mujoco, model, robot.joint_names)
+        for j, k in self.points.ids.items():
+            joints[j] = k
         if not set(joints) <= set(driven):
             raise TorchidError(f"a joint of '{robot.name}' has no actuator in '{path.name}'.")
         self.servos = [driven.index(joint) for joint in joints]
+        self.pid = int(getattr(self.mujoco.mjtDyn, "mjDYN_PID", -1))
         # A base that the file lets go was held.
-        self.model.dof_armature[np.setdiff1d(np.arange(self.model.nv), self.rows)] = _HELD
+        moved = [*self.rows, *self.points.rows]
+        model.dof_armature[np.setdiff1d(np.arange(model.nv), moved)] = _HELD
 
     def force(self, u: np.ndarray, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
         """(T, n) forces at q, dq [N m; N] with commands u that have stood for long."""
@@ -265,37 +361,50 @@ class ServosInMujoco(LoadedInMujoco):
         gives up.
 
         Args:
-            servos: whose set-points are made at run time.
+            servos: whose set-points are made at run time where the file has none.
             tracks: the commands.
             windows: of their motions, in order.
             q, dq: states at the windows' beginnings [rad, rad/s; m, m/s].
         """
         mujoco, model, data = self.mujoco, self.model, self.mujoco.MjData(self.model)
         steps = self.fit_step(tracks.dt)
-        u, out, points = tracks.u.numpy(), np.full(tuple(tracks.u.shape), np.nan), None
-        motion = -1
+        u, out = tracks.u.numpy(), np.full(tuple(tracks.u.shape), np.nan)
+        servos = self._left_to_run_time(servos)
+        points = SetPoints(servos, tracks.dt)
+        motion = end = -1
         for w, (a, rows) in enumerate(
             zip(windows.start.tolist(), windows.length.tolist(), strict=True)
         ):
-            if int(windows.motion[w]) != motion or points is None:
+            # What servos know of their commands goes on from one window to the next.
+            anew = int(windows.motion[w]) != motion or a != end
+            if anew:
                 motion, points = int(windows.motion[w]), SetPoints(servos, tracks.dt)
-            mujoco.mj_resetData(model, data)
+                mujoco.mj_resetData(model, data)
+            end = a + rows
             data.qpos[self.places], data.qvel[self.rows] = q[w], dq[w]
             out[a] = q[w]
             with without_warnings(mujoco):
-                for k in range(a, a + rows):
+                for k in range(a, end):
                     controls = points.feed(u[k], steps)
-                    if k == a:
+                    if k == a and anew:
                         self._begin(data, controls[0])
-                    if k == a + rows - 1:
-                        break  # the next window begins with the command after this one
                     for control in controls:
                         data.ctrl[self.servos] = control
                         mujoco.mj_step(model, data)
                     if data.warning.number.any():  # MuJoCo resets an arm that has run away
                         return torch.from_numpy(out)
-                    out[k + 1] = data.qpos[self.places]
+                    if k + 1 < end:
+                        out[k + 1] = data.qpos[self.places]
         return torch.from_numpy(out)
+
+    def _left_to_run_time(self, servos: Servos) -> Servos:
+        """Servos without what the file itself makes of commands."""
+        model, joint = self.model, servos.joint.clone()
+        for j, k in enumerate(self.servos):
+            slewed = "speed" if model.actuator_dyntype[k] == self.pid else ""
+            for name in AT_RUN_TIME if j in self.points.ids else (slewed,) * bool(slewed):
+                joint[j, INDEX[name]] = PARAMETERS[INDEX[name]].neutral
+        return dataclasses.replace(servos, joint=joint)
 
     def _begin(self, data: Any, command: np.ndarray) -> None:
         """As if this command had stood for long: in the servos, their delays and filters."""
@@ -306,8 +415,12 @@ class ServosInMujoco(LoadedInMujoco):
             if held:
                 past = model.opt.timestep * (np.arange(held) - held)
                 self.mujoco.mj_initCtrlHistory(model, data, k, past, np.full((held, 1), value))
-            if model.actuator_actnum[k]:
+            if model.actuator_actnum[k] and (
+                model.actuator_dyntype[k] != self.pid or model.actuator_dynprm[k, 1] > 0
+            ):
                 data.act[model.actuator_actadr[k]] = value
+        scale = -model.actuator_gainprm[self.servos, 0] / model.actuator_biasprm[self.servos, 1]
+        self.points.begin(data, scale * command)
 
 
 def check_servos(path: Path, robot: Robot, servos: Servos) -> Comparison:

@@ -58,7 +58,7 @@ def write_xml(
     servos = dynamics.arm.servos if to == "mjcf" and dynamics.arm is not None else None
     if servos is not None:
         source = path.name if original is None else original.source
-        write_servos(file, robot, servos, source, dynamics.late, ratios)
+        write_servos(file, robot, servos, source, dynamics.late, ratios, dynamics.set_points)
     known = tuple(pair for pair in nominal_effects(robot) if pair not in rest)
     if original is None and not mjcf:
         rest = in_joint_frames(rest, robot)

@@ -32,15 +32,10 @@ from torchid.typing import Float, Tensor
 SPENT_SHARE = 0.02
 """Share of the least torque error that may be spent on bodies nearer to the nominal ones."""
 
-BELIEVABLE = 2.0
-"""Factor from a link's nominal mass, up and down, within which a person believes it."""
 
 SPREAD = 5.0
 """Factor by which a person believes that second moments of a nominal body shrink, at most."""
 
-NEAR_SHAPE = 0.05
-"""How far outside its shape a centre of mass may be; from the nominal one, where there is no shape
-[m]."""
 
 _WALL = 1e-3
 """w: how much of the metric keeps bodies, masses and centres off their limits."""
@@ -56,12 +51,9 @@ _FLAT = 1e-6
 """The least weight of any limit, in the same units: below it rounding decides."""
 
 _PATH = 10.0 ** torch.arange(2.0, -6.25, -0.5, dtype=torch.float64)
-_STEPS = 80
-_STUCK = 1e-4
 _FURTHER = (1e4, 1e3, 1e2, 10.0, 1.0)
 """How many times as strong the walls are, one after the other, where Newton steps are stuck at
 one."""
-_SETTLED = 1e-9
 AT_A_WALL = 0.01
 """Share of the nominal mass, or of the width of the centre's box, from a wall at which a body is
 said to stand at it: the search stays inside."""
@@ -123,7 +115,7 @@ class Room:
 
     @property
     def bodies_alone(self) -> "Room":
-        """The same, asking for nothing but bodies."""
+        """This room, asking for nothing but bodies."""
         none = {"rows": self.rows[:, :0], "offset": self.offset[:, :0]}
         return replace(self, least=INSIDE * self.small, **none)
 
@@ -142,11 +134,16 @@ def room_of(robot: Robot) -> Room:
     ends, length = joint_points(robot), link_lengths(robot)
     body, small = expected_bodies(robot)
     # A link to which its file gives no mass may have that of a small body.
-    has = body[:, 0] > small[:, 0] / BELIEVABLE
+    # Factor from a link's nominal mass, up and down, within which a person believes it
+    believable = 2.0
+    has = body[:, 0] > small[:, 0] / believable
     mass = torch.where(has, body[:, 0], small[:, 0])
     com = (body + 1e-6 * small)[:, 1:4] / (body + 1e-6 * small)[:, :1]
-    low, high = torch.where(has, mass / BELIEVABLE, 0.0), BELIEVABLE * mass
-    below, above = com - NEAR_SHAPE, com + NEAR_SHAPE
+    low, high = torch.where(has, mass / believable, 0.0), believable * mass
+    # How far outside its shape a centre of mass may be; from the nominal one, where there is no
+    # shape [m]
+    near_shape = 0.05
+    below, above = com - near_shape, com + near_shape
     shapes = link_shapes(robot)
     if robot.parameters is None:
         low, high = low / 10, high * 10
@@ -156,9 +153,9 @@ def room_of(robot: Robot) -> Room:
         dense = DENSITIES[1] * shapes.volumes
         high = torch.where(dense > mass, torch.minimum(high, dense), high)
         known = torch.isfinite(shapes.boxes).all(-1).all(-1).unsqueeze(1)
-        corners = shapes.boxes + torch.tensor([-NEAR_SHAPE, NEAR_SHAPE])
-        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * NEAR_SHAPE), below)
-        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * NEAR_SHAPE), above)
+        corners = shapes.boxes + torch.tensor([-near_shape, near_shape])
+        below = torch.where(known, torch.minimum(corners[..., 0], com - 0.1 * near_shape), below)
+        above = torch.where(known, torch.maximum(corners[..., 1], com + 0.1 * near_shape), above)
     least = INSIDE * small + torch.where(has[:, None], body / SPREAD, 0.0)
     return _room(body, small, least, mass, torch.stack([low, high], 1), below, above)
 
@@ -347,7 +344,7 @@ class _Question:
         return _Question(torque, room, unit, inner @ basis @ inner.mT, start)
 
     def about(self, x: Float[Tensor, " K"]) -> "_Question":
-        """The same in units of the error there."""
+        """This function in units of the error there."""
         return replace(self, unit=self.torque.unit(x))
 
     def minimum(self, x: Float[Tensor, " K"], strength: float) -> Float[Tensor, " K"]:
@@ -364,12 +361,14 @@ class _Question:
         """Newton steps from inside, as long as they lead anywhere, and whether they came to an end,
         or nearly: the second half of them gained nothing to speak of."""
         value = half = self.value(x, strength)
-        for k in range(_STEPS):
-            half = value if k == _STEPS // 2 else half
+        steps = 80
+        for k in range(steps):
+            half = value if k == steps // 2 else half
             gradient, hessian = self.slopes(x, strength)
             step = -_solved(hessian, gradient)
             fall = float(gradient @ step)
-            if -fall < _SETTLED * max(1.0, abs(value)):
+            # 1e-9: fall below this share of the value is rounding
+            if -fall < 1e-9 * max(1.0, abs(value)):
                 return x, True
             share = 1.0
             while share > 1e-8:
@@ -380,7 +379,8 @@ class _Question:
             else:
                 return x, True
             x, value = x + share * step, there
-        return x, half - value < _STUCK * abs(value)
+        # 1e-4: share of the value that a Newton step must gain
+        return x, half - value < 1e-4 * abs(value)
 
     def value(self, x: Float[Tensor, " K"], strength: float) -> float:
         """The function; infinite outside."""

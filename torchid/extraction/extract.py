@@ -34,11 +34,6 @@ block costs a millisecond a generation for torch's calls alone, here 5 % of the 
 runs, 15 % of that of 25. Who works does not change the blocks: other rows together would be other
 sums in other orders."""
 
-_FIRST_SIGMA = 0.3
-_LEAST_SIGMA = 1e-3
-"""Step size with which a stage begins at least: the minimum has moved, and a search that has
-converged on the old one would be stuck there."""
-
 
 def require_possible(problem: Problem) -> None:
     """Say before the search that no point of the bounds meets the conditions.
@@ -94,7 +89,8 @@ def extract(
     generator = torch.Generator().manual_seed(settings.seed)
     shape = (settings.runs, problem.size)
     uniform = torch.rand(shape, generator=generator, dtype=problem.box.dtype)
-    state, history = start(uniform, _FIRST_SIGMA), list[tuple[Tensor, Tensor]]()
+    # 0.3: first step size, as a share of the box
+    state, history = start(uniform, 0.3), list[tuple[Tensor, Tensor]]()
     blocks = _blocks(problem, settings, device)
     with opened(workers if len(blocks) > 1 else 1) as (pool, _):
         for stage in range(settings.stages):
@@ -169,7 +165,9 @@ def _advanced(block: _Block) -> SearchState:
         value = problem.phi(p)
         return value if weight == 0 else value + weight * gamma(problem, p, exact=False)
 
-    sigma = block.state.sigma.clamp(min=_LEAST_SIGMA)
+    # 1e-3: step size with which a stage begins at least: the minimum has moved, and a search that
+    # has converged on the old one would be stuck there
+    sigma = block.state.sigma.clamp(min=1e-3)
     found = minimise(
         loss,
         replace(block.state, sigma=sigma).to(block.device),

@@ -26,10 +26,6 @@ from torchid.results.record import Result
 from torchid.robot.knowledge import to_mapping
 from torchid.typing import Float, Tensor
 
-_ON_A_BOUND = 1e-4
-"""Share of a bound's span within which a parameter counts as lying on it, of searches that reach
-it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Extraction(Result):
@@ -60,7 +56,7 @@ class Extraction(Result):
 
     @cached_property
     def found(self) -> "Found":
-        """Its sets, judged."""
+        """The search's sets with their verdicts."""
         return judged(self.problem, "cma-es", self.sets, self.seconds, search=self)
 
     @property
@@ -217,7 +213,9 @@ def at_bounds(found: Found) -> list[str]:
     n = problem.n
     own = found.sets.search_vector[found.best]
     low, high = problem.box.unbind(-1)
-    near = (AT_A_WALL if found.method == "near" else _ON_A_BOUND) * (high - low)
+    # 1e-4: share of a bound's span within which a parameter counts as lying on it, of searches that
+    # reach it
+    near = (AT_A_WALL if found.method == "near" else 1e-4) * (high - low)
     physics = torch.zeros_like(low, dtype=torch.bool)
     physics[:n] = True
     physics[4 * n : 10 * n].view(n, 6)[:, [0, 3, 5]] = True

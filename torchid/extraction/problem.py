@@ -65,7 +65,8 @@ class Target:
 
     @cached_property
     def matrix_by_link(self) -> Float[Tensor, "R P"]:
-        """The same with the rigid columns link by link, ten each; the effects' follow."""
+        """The target's matrix with the rigid columns link by link, ten each; the effects'
+        follow."""
         rigid = self.base.n_rigid_parameters
         columns = self.matrix.clone()
         columns[:, paper_order(rigid // PARAMETERS_PER_LINK)] = self.matrix[:, :rigid]
@@ -198,7 +199,7 @@ class Problem:
         return self.residual_of_vector(self.vector(p))
 
     def residual_of_vector(self, x: Float[Tensor, "*batch P"]) -> Float[Tensor, "*batch R"]:
-        """The same from full parameter vectors, in which it is linear."""
+        """The residual of full parameter vectors, in which it is linear."""
         return x @ self.target.matrix.to(x).T - self.target.offset.to(x)
 
     def phi(self, p: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch"]:

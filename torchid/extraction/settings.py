@@ -8,10 +8,6 @@ from torchid.errors import TorchidError
 Schedule = Literal["linear", "geometric"]
 Penalty = Literal["full", "partial"]
 
-_MOST_AT_ONCE = 1_000_000
-_MOST_GEOMETRIC = 300
-"""Stages of the schedule `geometric`: 10^309 is no number, and gamma multiplies the weight."""
-
 
 @dataclass(frozen=True)
 class SearchSettings:
@@ -47,20 +43,23 @@ class SearchSettings:
         for name in ("runs", "stages", "generations", "population"):
             if (count := getattr(self, name)) is not None and count < 1:
                 raise TorchidError(f"{name}: at least one is needed.", got=count)
-        if self.runs * (self.population or 1) > _MOST_AT_ONCE:
+        most_at_once = 1_000_000
+        if self.runs * (self.population or 1) > most_at_once:
             raise TorchidError(
                 "runs times population: all candidates of a generation are in memory at once.",
                 got=self.runs * (self.population or 1),
-                expected=f"at most {_MOST_AT_ONCE}",
+                expected=f"at most {most_at_once}",
             )
         for name, known in (("penalty", get_args(Penalty)), ("schedule", get_args(Schedule))):
             if getattr(self, name) not in known:
                 raise TorchidError(f"unknown {name}.", got=getattr(self, name), available=known)
-        if self.schedule == "geometric" and self.stages > _MOST_GEOMETRIC:
+        # Stages of the schedule `geometric`: 10^309 is no number, and gamma multiplies the weight
+        most_geometric = 300
+        if self.schedule == "geometric" and self.stages > most_geometric:
             raise TorchidError(
                 "too many stages for the schedule 'geometric': each has ten times the weight.",
                 got=self.stages,
-                expected=f"at most {_MOST_GEOMETRIC}",
+                expected=f"at most {most_geometric}",
             )
 
     def weight(self, stage: int) -> float:

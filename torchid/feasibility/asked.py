@@ -23,7 +23,7 @@ from torchid.robot.tree import Choice
 
 
 @dataclass(frozen=True)
-class Asked:
+class SetsToCheck:
     """What a check is about.
 
     Attributes:
@@ -41,7 +41,7 @@ class Asked:
     warnings: tuple[str, ...]
 
 
-def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
+def asked_about(params: str, robot: str | None, choice: Choice) -> SetsToCheck:
     """The sets, or the robot, that a name or a file stands for.
 
     Args:
@@ -65,7 +65,7 @@ def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
         sets = read_sets(Path(params), found)
         noticed = other_robot(Path(params), found)
         others = read_other_effects(Path(params), found)
-        return Asked(found, sets, others, (), () if noticed is None else (noticed,))
+        return SetsToCheck(found, sets, others, (), () if noticed is None else (noticed,))
     own, found = load_both(params, robot, choice)
     nominal_effects(found)  # known, complete and in range, though they do not count here
     if own.n_links != found.n_links:
@@ -83,4 +83,4 @@ def asked_about(params: str, robot: str | None, choice: Choice) -> Asked:
         "parameters"
     )
     told = (differ,) if apart else ()
-    return Asked(found, nominal_set(own), nominal_others(own), also, told)
+    return SetsToCheck(found, nominal_set(own), nominal_others(own), also, told)

@@ -7,16 +7,12 @@ from typing import Any
 import torch
 
 from torchid.effects.base import JointEffect
+from torchid.effects.registry import KINDS
 from torchid.errors import RobotError
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-COEFFICIENT_KEYS = {
-    "friction_viscous": "Fv",
-    "friction_coulomb": "Fc",
-    "friction_offset": "F0",
-    "rotor_inertia": "Ia",
-}
+COEFFICIENT_KEYS = {k.bounds_key: k.coefficients[0].name for k in KINDS.values() if k.bounds_key}
 """Keys of a group of bounds, beside mass, com and inertia: coefficients of effects."""
 
 _NOT_GROUPS = ("geometry", "total_mass")

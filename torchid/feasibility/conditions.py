@@ -48,7 +48,7 @@ class Conditions:
     total_mass: Float[Tensor, "2"]
 
     def to(self, device: torch.device | str) -> "Conditions":
-        """The same conditions on another device."""
+        """These conditions on another device."""
         return Conditions(*(tensor.to(device) for tensor in vars(self).values()))
 
 

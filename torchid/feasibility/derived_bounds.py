@@ -55,11 +55,7 @@ NAME = "from-robot"
 WIDE, NONE = "wide", "none"
 """Names of bounds that need no nominal parameters."""
 WIDE_MASS, WIDE_MARGIN = 20.0, 0.05
-NONE_MASS = 10.0
 MASS_PERCENT = 30.0
-COEFFICIENT_FACTOR = 10.0
-MARGIN_OF_LENGTH = 0.5
-"""Default margin of the centres of mass, as a share of the link's length (`link_lengths`)."""
 _THINNEST = 1e-3
 """Smallest side of a box [m]: a flat shape still has a thickness."""
 
@@ -98,7 +94,8 @@ def open_bounds(robot: Robot, *, wide: bool) -> Bounds:
             dense = LEAD * shapes.volumes
             most = torch.where(dense > typical, torch.minimum(most, dense), most)
     else:
-        most = (NONE_MASS * typical.sum()).expand(robot.n_links)
+        # 10.0: masses of any arm, over those that are typical of its size
+        most = (10.0 * typical.sum()).expand(robot.n_links)
         far = reach(robot)
         box = torch.tensor([-far, far], dtype=torch.float64).expand(robot.n_links, 3, 2)
     masses = torch.stack([torch.zeros_like(most), most], -1)
@@ -145,7 +142,9 @@ def derive_bounds(
     mass_bounds = torch.stack([mass * max(1 - share, 0.0), mass * (1 + share)], -1)
     margin = torch.full((robot.n_links, 1), com_margin or 0.0, dtype=torch.float64)
     if com_margin is None:
-        margin = MARGIN_OF_LENGTH * link_lengths(robot).unsqueeze(-1)
+        # 0.5: default margin of the centres of mass, as a share of the link's length
+        # (`link_lengths`)
+        margin = 0.5 * link_lengths(robot).unsqueeze(-1)
     # Boxes of the shapes, none thinner than `_THINNEST`; nan where unknown.
     boxes = torch.full((robot.n_links, 3, 2), torch.nan, dtype=torch.float64)
     shapes = link_shapes(robot) if shapes is None else shapes
@@ -226,9 +225,10 @@ def _coefficient_bounds(robot: Robot) -> Mapping[str, Tensor]:
             sizes[effect.joint] = abs(value)
             kinds[c.name] = c
     out = {}
+    coefficient_factor = 10.0
     for name, sizes in nominal.items():
-        largest = COEFFICIENT_FACTOR * sizes.max() if bool(sizes.any()) else torch.ones_like(sizes)
-        upper = torch.where(sizes > 0, COEFFICIENT_FACTOR * sizes, largest)
+        largest = coefficient_factor * sizes.max() if bool(sizes.any()) else torch.ones_like(sizes)
+        upper = torch.where(sizes > 0, coefficient_factor * sizes, largest)
         lower = torch.zeros_like(upper) if kinds[name].non_negative else -upper
         out[name] = torch.stack([lower, upper], -1)
     return out

@@ -36,8 +36,6 @@ LINK_CONDITIONS = ("mass", "eigenvalue", "triangle", "com_x", "com_y", "com_z", 
 """Columns of the margins of a link."""
 
 _STRICT = torch.tensor([True, True, True, False, False, False, False])
-_ROUNDING = 1e-9
-"""Share of a scale by which a closed condition (a box) may be missed: c = (m c) / m rounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +121,9 @@ def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
             coefficients[:, k] = torch.where(finite[:, k], torch.inf, torch.nan)
             coefficient_scale[:, k] = torch.inf
     strict = _STRICT.to(margins.device)
-    tolerance = torch.where(strict, 0.0, -_ROUNDING) * scales
+    # Share of a scale by which a closed condition (a box) may be missed: c = (m c) / m rounds
+    rounding = 1e-9
+    tolerance = torch.where(strict, 0.0, -rounding) * scales
     # Not "margin < 0": nan must count as violated.
     kept = torch.where(strict, margins > 0, margins >= tolerance)
     return Feasibility(
@@ -137,7 +137,7 @@ def feasibility(sets: ParameterSets, conditions: Conditions) -> Feasibility:
         coefficient_names=sets.coefficient_names(),
         coefficient_reasons=sets.coefficient_reasons(),
         violated=~kept,
-        violated_total=~(total >= -_ROUNDING * total_scale),
+        violated_total=~(total >= -rounding * total_scale),
         violated_coefficients=~(coefficients >= 0),
     )
 

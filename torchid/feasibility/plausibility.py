@@ -37,12 +37,7 @@ from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, OwnInertial, joint_points, link_lengths
 from torchid.typing import Float, Tensor
 
-ON_BOUNDARY = 1e-3
-"""Share of an interval between bounds that counts as on one of them."""
 ROUNDING = 1e-9
-_POSES = 256
-_SETS = 64
-"""Sets at a time whose weight is held."""
 
 
 @dataclass(frozen=True)
@@ -130,10 +125,12 @@ def add_bounds(found: list[list[Finding]], sets: ParameterSets, bounds: Bounds) 
     share = (values - low) / (high - low)
     names = search_names(sets)
     n = sets.parameters.mass.shape[-1]
-    for k, i in each((share < ON_BOUNDARY) | (share > 1 - ON_BOUNDARY)):
+    # Share of an interval between bounds that counts as on one of them
+    on_boundary = 1e-3
+    for k, i in each((share < on_boundary) | (share > 1 - on_boundary)):
         value, place = float(values[k, i]), float(share[k, i])
         limit, side = (float(low[i]), "lower") if place < 0.5 else (float(high[i]), "upper")
-        within = -ON_BOUNDARY <= place <= 1 + ON_BOUNDARY
+        within = -on_boundary <= place <= 1 + on_boundary
         word = "on" if within else "outside"
         sentence = f"{names[i]} = {value:.4g} is {word} its {side} bound {limit:.4g}"
         # Masses, centres of mass, inertias: one, three and six a link.
@@ -166,11 +163,14 @@ def add_gravity_loads(
     if robot.limits.position is not None:
         known = torch.isfinite(robot.limits.position).all(-1, keepdim=True)
         span = torch.where(known, robot.limits.position, span)
-    share = torch.rand(_POSES, robot.n, generator=generator, dtype=torch.float64)
+    # 256: poses, drawn within the limits
+    share = torch.rand(256, robot.n, generator=generator, dtype=torch.float64)
     q = span[:, 0] + share * (span[:, 1] - span[:, 0])
     strongest = limits.abs().amax(-1)
-    for first in range(0, len(found), _SETS):
-        pi = parameters.pi[first : first + _SETS].detach().cpu().double()
+    # Sets at a time whose weight is held
+    at_once = 64
+    for first in range(0, len(found), at_once):
+        pi = parameters.pi[first : first + at_once].detach().cpu().double()
         torque = gravity_torque(robot, q.unsqueeze(1), InertialParameters(pi)).abs().amax(0)
         for k, joint in each((torque > strongest) & (strongest > 0)):
             needed, limit = float(torque[k, joint]), float(strongest[joint])

@@ -68,7 +68,7 @@ class _Candidates:
         return tuple(name for effect in self.effects for name in effect.coefficient_names())
 
     def coefficient_reasons(self) -> tuple[str, ...]:
-        """The same as reasons are written, e.g. Fv_6, F0_1."""
+        """Names of coefficients as reasons are written, e.g. Fv_6, F0_1."""
         return coefficient_reasons(self.effects)
 
     def effect_records(self, k: int) -> tuple[Values, ...]:
@@ -208,7 +208,7 @@ class SetsFile(_Candidates, RobotRecord, frozen=True, kw_only=True):
 
         @property
         def sets(self) -> Sequence[SetEntry]:
-            """As the file has them."""
+            """The parameter sets as the file has them."""
 
     def __len__(self) -> int:
         return len(self.sets)

@@ -46,27 +46,11 @@ _SCATTER = (0.3, 0.6)
 """Standard deviations of their decimal logarithms in makers' models, roughly."""
 _LIGHTEST = 50.0
 """Median density of links below which something is wrong [kg/m^3]: toy models have 60."""
-_FLAT = 6.0
-"""How many times denser flat and thin links may be than balls of their radii of gyration."""
-_APART = 1.4
-"""Decimal logarithm by which the median of radii of gyration over lengths may be off."""
 _OUTSIDE, _FAR_OUTSIDE = 0.6, 3.0
 """Radius of gyration over the size of a link, of which it is half at most: that of a light body
 with shapes, and of any."""
 _ROOM = 1.05
 """The same, of a light body of which only the joints are known, and nearer than its end may be."""
-_AWAY = 5.0
-"""Sizes of a link that its centre of mass may be beyond its joints and its shapes."""
-_HEAVY = 3.0
-"""Torque that holds the arm over the limit: arms whose springs bear their weight have 1.7."""
-_SOLID = 4500.0
-"""Density of links that hold housing, motor and gear, from which on they are too heavy [kg/m^3]."""
-_MATTERS = 0.1
-"""Share of the moving mass that one link alone must have to be too heavy: motors are dense."""
-_MESHES = 100.0
-"""Size of a link's shapes over its length; makers' links have up to 14."""
-_MOST = 6
-"""Links that are named in a sentence."""
 
 _MISTAKES = {
     "inertias 10 times too large": (0.5, -1.5),
@@ -124,14 +108,17 @@ def unit_findings(robot: Robot) -> tuple[Finding, ...]:
     lengths = size = link_lengths(robot)[place]
     known = own.gyration > 0
     ball = mass / (4 / 3 * math.pi * (2.5**0.5 * own.gyration) ** 3)
-    density = own.density.minimum(torch.maximum(_FLAT * ball, own.density.clamp(max=_DENSITY)))
+    # 6.0: how many times denser flat and thin links may be than balls of their radii of gyration
+    density = own.density.minimum(torch.maximum(6.0 * ball, own.density.clamp(max=_DENSITY)))
     at = torch.stack([own.gyration / size / _GYRATION, density / _DENSITY], -1).log10()
     common = _common(at, known & whole)
     away = torch.zeros_like(mass)
     away[whole] = outside_box(robot.parameters.com, joint_points(robot).transpose(-1, -2))
     # Of a link that is one of those, its parts are, too.
     rest = known if common is None else known & ~common[1][place]
-    odd = rest & (own.gyration > _OUTSIDE * size) | (away > _AWAY * size)
+    # Sizes of a link that its centre of mass may be beyond its joints and its shapes
+    sizes_away = 5.0
+    odd = rest & (own.gyration > _OUTSIDE * size) | (away > sizes_away * size)
     shapes = _read_shapes(robot) if bool(odd.any()) else None
     drawn = torch.zeros_like(known)
     if shapes is not None:
@@ -142,7 +129,7 @@ def unit_findings(robot: Robot) -> tuple[Finding, ...]:
             drawn[whole], outside_box(robot.parameters.com, shapes.boxes), torch.inf
         )
         away[whole] = torch.minimum(away[whole], inside)
-    strayed = (away > _AWAY * size) & (mass > 0)  # what is merged there makes inertias, too
+    strayed = (away > sizes_away * size) & (mass > 0)  # what is merged there makes inertias, too
     rest = rest & ~strayed[place]
     inertia = mass * own.gyration**2
     matters = (mass > 0.01 * total) | (inertia > 0.01 * inertia[whole].nan_to_num(0.0).amax())
@@ -190,11 +177,15 @@ def _too_heavy(robot: Robot, own: Bodies, density: Float[Tensor, " K"]) -> list[
     assert robot.parameters is not None
     mass, n = robot.parameters.mass, robot.n_links
     finite, density = own.density[:n] < torch.inf, density[:n]
-    links = finite & (mass > _MATTERS / 2 * mass.sum())
-    if bool(links.any()) and float(density[links].quantile(0.5)) > _SOLID:
-        links &= own.density[:n] > _SOLID
+    # Share of the moving mass that one link alone must have to be too heavy: motors are dense
+    least_share = 0.1
+    links = finite & (mass > least_share / 2 * mass.sum())
+    # Density of links that hold housing, motor and gear, from which on they are too heavy [kg/m^3]
+    solid = 4500.0
+    if bool(links.any()) and float(density[links].quantile(0.5)) > solid:
+        links &= own.density[:n] > solid
     else:
-        links = finite & (mass > _MATTERS * mass.sum()) & (density > _SOLID)
+        links = finite & (mass > least_share * mass.sum()) & (density > solid)
     out = []
     if bool(links.any()):
         said = (
@@ -206,7 +197,9 @@ def _too_heavy(robot: Robot, own: Bodies, density: Float[Tensor, " K"]) -> list[
     loads: list[list[Finding]] = [[]]
     add_gravity_loads(loads, InertialParameters(robot.parameters.pi.unsqueeze(0)), robot, 0)
     for load in loads[0]:
-        if load.value > _HEAVY:
+        # 3.0: torque that holds the arm over the limit: arms whose springs bear their weight have
+        # 1.7
+        if load.value > 3.0:
             words = f"{load.sentence}: the masses, or the limit, may be wrong, or in another unit"
             out.append(replace(load, what=UNITS, sentence=words))
     return out
@@ -217,7 +210,8 @@ def shape_findings(robot: Robot, shapes: LinkShapes | None) -> tuple[Finding, ..
     if shapes is None:
         return ()
     sides = (shapes.boxes[..., 1] - shapes.boxes[..., 0]).norm(dim=-1)
-    large = sides > _MESHES * link_lengths(robot)
+    # 100.0: size of a link's shapes over its length; makers' links have up to 14
+    large = sides > 100.0 * link_lengths(robot)
     if not bool(large.any()):
         return ()
     said = f"shapes of up to {float(sides[large].max()):.3g} m"
@@ -234,7 +228,8 @@ def _common(
         return None
     middle = at[known].quantile(0.5, dim=0)
     low, high = (math.log10(x / _DENSITY) for x in (_LIGHTEST, DENSITIES[1]))
-    if low < float(middle[1]) < high and abs(float(middle[0])) < _APART:
+    # 1.4: decimal logarithm by which the median of radii of gyration over lengths may be off
+    if low < float(middle[1]) < high and abs(float(middle[0])) < 1.4:
         return None
     return _nearest(middle), known & ((at - middle).norm(dim=-1) < at.norm(dim=-1))
 
@@ -280,7 +275,8 @@ def _finding(
 ) -> Finding:
     """Of links of these names, each merged into the moving link of its `place`, or one itself."""
     numbers = [link for (link,) in each(links)]
-    who = listed((f"'{names[k]}'" for k in numbers), most=_MOST)
+    # 6: links that are named in a sentence
+    who = listed((f"'{names[k]}'" for k in numbers), most=6)
     at = numbers if place is None else [place[k] for k in numbers]
     link = at[0] + 1 if len(numbers) == 1 else None
     return Finding(link, UNITS, len(numbers), 0.0, f"{who}: {said}: {words}")

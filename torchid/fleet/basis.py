@@ -18,10 +18,6 @@ from torchid.identification.record import IdentificationRecord
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-SAME_COMBINATION = 1e-2
-"""Relative distance of a combination from a row space below which it lies in it: kinematics that
-differ by a calibration of millimetres still compare."""
-
 POSITION, GRAVITY = 5e-3, 0.05
 """Differences of recorded kinematics [m; and of rotation matrices] and gravity [m/s^2] that count
 as none."""
@@ -56,17 +52,20 @@ def common_basis(
     poorest = min(range(len(bases)), key=lambda k: bases[k].n_rigid)
     rigid = bases[poorest].n_rigid
     picked = [(poorest, b) for b in range(rigid)]
+    # Relative distance of a combination from a row space below which it lies in it: kinematics that
+    # differ by a calibration of millimetres still compare
+    same_combination = 1e-2
     for k, base in enumerate(bases):
         for b in range(base.n_rigid, len(base)):
             known = (wide[i][c] for i, c in picked[rigid:])
-            if not any(torch.allclose(wide[k][b], other, atol=SAME_COMBINATION) for other in known):
+            if not any(torch.allclose(wide[k][b], other, atol=same_combination) for other in known):
                 picked.append((k, b))
     rows = torch.stack([wide[k][b] for k, b in picked])
     values, std = [], []
     for (label, record), base, own in zip(results.items(), bases, wide, strict=True):
         turn = rows[:, [union.index(base.parameter_names[k]) for k in base.independent]]
         size = torch.linalg.vector_norm(rows, dim=1)
-        within = torch.linalg.vector_norm(turn @ own - rows, dim=1) <= SAME_COMBINATION * size
+        within = torch.linalg.vector_norm(turn @ own - rows, dim=1) <= same_combination * size
         if not bool(within[:rigid].all()):
             k, b = picked[int((~within).nonzero()[0, 0])]
             raise TorchidError(
@@ -75,7 +74,7 @@ def common_basis(
                 got=f"{label} has no combination {bases[k].names[b]}",
                 hint="identify all logs with the same robot file",
             )
-        used = turn.abs() > SAME_COMBINATION * size.unsqueeze(1)
+        used = turn.abs() > same_combination * size.unsqueeze(1)
         unknown = base.mask(record.undetermined)
         unknown |= contaminated_columns(record.factor[:, : len(base)], unknown)
         known = within & ~(used & unknown).any(1)

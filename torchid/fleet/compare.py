@@ -28,16 +28,6 @@ from torchid.robot.tree import Choice
 from torchid.statistics.multiple import benjamini_hochberg
 from torchid.statistics.random_effects import Sessions, heterogeneity, intervals, means, spreads
 
-LEVEL = 0.05
-"""Share of false ones among the coefficients that are said to differ."""
-
-UNKNOWN = 0.5
-"""Relative standard deviation from which a value cannot be told from zero."""
-
-ROUNDING = 1e-9
-"""Standard deviation that a value has at least, as a share of the largest."""
-
-
 KINDS: dict[str, Kind] = {
     "torchid.identification/1": "identifications",
     "torchid.gap/2": "gap diagnoses",
@@ -61,7 +51,7 @@ class Given:
 
     @property
     def kind(self) -> Kind:
-        """Of the result."""
+        """What kind of result it is."""
         return KINDS[self.record.schema]
 
 
@@ -199,20 +189,23 @@ def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
     """The spread of every coefficient over the results, and whether they differ."""
     if not found.named:
         return ()
-    least = ROUNDING * found.values.nan_to_num().abs().amax(1, keepdim=True).clamp(min=1e-100)
+    # 1e-9: standard deviation that a value has at least, as a share of the largest
+    least = 1e-9 * found.values.nan_to_num().abs().amax(1, keepdim=True).clamp(min=1e-100)
     std = torch.maximum(found.std, least)
     data = Sessions(found.values, std.square(), torch.arange(std.shape[1]))
     p = heterogeneity(data, found.freedom)
     tested = p.isfinite()
     p[tested] = benjamini_hochberg(p[tested])
-    unknown = ((std > UNKNOWN * found.values.abs()) | ~data.counts).all(1)
+    # 0.5: relative standard deviation from which a value cannot be told from zero
+    unknown = ((std > 0.5 * found.values.abs()) | ~data.counts).all(1)
     between, daily = spreads(data)
     ends, _ = intervals(data, between, daily)
     population = means(data, between, daily)
     out = []
     for k, (name, unit, cause) in enumerate(found.named):
         verdict: Verdict = "never_determined" if bool(unknown[k]) else "agree"
-        if not (tested[k] and p[k] >= LEVEL):
+        # 0.05: share of false ones among the coefficients that are said to differ
+        if not (tested[k] and p[k] >= 0.05):
             verdict = "differ" if tested[k] else "not_compared"
         out.append(
             ComparedParameter(

@@ -27,12 +27,6 @@ from torchid.robot.inertia import InertialParameters, parameter_names, parameter
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-SAME_SPREAD = 1e-6
-"""Relative spread of the sets of a file below which they do not tell how sure a value is."""
-
-GAP_BLOCKS = 20
-"""Fewest blocks that a diagnosis takes its standard deviations from."""
-
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
@@ -67,7 +61,7 @@ class Estimates:
 def of_identifications(
     records: Mapping[str, IdentificationRecord], robot: Robot | None
 ) -> Estimates:
-    """Of identifications, in one basis.
+    """Estimates of identifications, in one basis.
 
     Args:
         records: by what to call them.
@@ -166,10 +160,11 @@ def of_sets(files: Mapping[str, Path], robot: Robot) -> Estimates:
     names = [*parameter_names(robot.n_links), *sets[0].coefficient_names()]
     units = [*parameter_units(robot.n_links)]
     units += [c.unit for e in sets[0].effects for c in e.coefficients]
+    # 1e-6: relative spread of the sets of a file below which they do not tell how sure a value is
     return Estimates(
         [(name, unit, "") for name, unit in zip(names, units, strict=True)],
         values,
-        torch.where(std > SAME_SPREAD * values.abs(), std, torch.nan),
+        torch.where(std > 1e-6 * values.abs(), std, torch.nan),
         torch.tensor([max(1.0, len(s) - 1.0) for s in sets]).double(),
         [count(len(s), "set") for s in sets],
         models,
@@ -226,11 +221,12 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
         "" if r.how_far.closed is None else f", {percent(r.how_far.closed)} closed" for r in own
     ]
     values, std = torch.stack(sizes).unbind(-1) if sizes else torch.empty(2, 0, len(own)).double()
+    # 19: degrees of freedom of the fewest blocks that a diagnosis takes standard deviations from
     return Estimates(
         named,
         values,
         std,
-        torch.full((len(own),), GAP_BLOCKS - 1.0).double(),
+        torch.full((len(own),), 19.0).double(),
         [f"{r.status.replace('_', ' ')}{said}" for r, said in zip(own, closed, strict=True)],
         [described_model(robot) for robot in robots] if len(robots) == len(own) else (),
         cutoff=min(r.band_hz for r in own),
@@ -267,7 +263,7 @@ def _place(entry: Cause) -> tuple[int, ...]:
     """Joints from 1, and other places; none of the whole arm."""
     kind = KINDS.get(entry.effect)
     fields = ("joint",) if kind is None else kind.__dataclass_fields__
-    if entry.common or ("joint" not in fields and entry.effect != "link_inertia"):
+    if entry.common or "joint" not in fields:
         return ()
     numbers = [entry.parameters.get(name) for name in entry.places]
     return (

@@ -44,15 +44,11 @@ MOST_BLOCKS = 30
 """Blocks kept of a stretch: with ten more than twenty, Student's quantile is within 2 % of the
 normal one's, and a log of a minute is two megabytes."""
 
-ROUNDS = 4
-"""Times that the weights of the joints are found again."""
 
 FAR_FROM_PHYSICAL = 5.0
 """Standard deviations beyond which a value that no body has is worth a word: at less, what the
 model lacks is reason enough."""
 
-LEAST_NOISE = 1e-6
-"""Noise of a joint as a share of the noisiest one's below which it gains no more weight."""
 
 _T = TypeVar("_T")
 
@@ -71,7 +67,7 @@ class Factors:
 
     @property
     def whole(self) -> "Factors":
-        """The same rows as one block."""
+        """All rows as one block."""
         total = self.rows.sum(0, keepdim=True)
         return Factors(tuple(stacked_factor([*r]).unsqueeze(0) for r in self.blocks), total)
 
@@ -134,7 +130,7 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """A log, reduced.
+    """A log as the factors of its normal equations.
 
     Attributes:
         factors: of its blocks.
@@ -253,7 +249,8 @@ def solved(factors: Factors, layout: Layout) -> Solved:
     held = undetermined_columns(combined_factor(r, layout.columns, layout.size), none)
     count = one.rows[0].to(torch.float64)
     weight = torch.ones(len(r), dtype=torch.float64)
-    for _ in range(ROUNDS):
+    # 4: times that the weights of the joints are found again
+    for _ in range(4):
         scaled = [w * f for w, f in zip(weight.tolist(), r, strict=True)]
         factor = combined_factor(scaled, layout.columns, layout.size)
         x, _ = solve(factor, none, held)
@@ -263,7 +260,9 @@ def solved(factors: Factors, layout: Layout) -> Solved:
         spare = (count - _spent(r, weight, factor, held, layout)).clamp(min=1.0)
         noise = torch.stack(left) / spare.sqrt()
         known = noise[count > 0]
-        least = LEAST_NOISE * float(known.max()) if len(known) else 0.0
+        # 1e-6: noise of a joint as a share of the noisiest one's below which it gains no more
+        # weight
+        least = 1e-6 * float(known.max()) if len(known) else 0.0
         weight = torch.where(count > 0, 1 / noise.clamp(min=max(least, 1e-300)), 0.0)
     return Solved(x, held, torch.where(count > 0, noise, torch.nan), factor)
 

@@ -32,10 +32,6 @@ Scope = Literal["type", "some", "unit"]
 SCOPES: dict[Scope, str] = {"type": "the type's", "some": "some units'", "unit": "a unit's own"}
 """In words."""
 
-HALF = 0.5
-"""Share of the units: an effect that surely more of them have is the type's, one that surely fewer
-have is a unit's own."""
-
 
 @dataclass(frozen=True)
 class GapTask(LogTask):
@@ -62,7 +58,11 @@ def answer_gap(task: GapTask) -> tuple[LogAnswer, dict[str, Any]]:
         except TorchidError as error:
             text = " ".join(str(error).replace(str(path), task.log.path).split())
             return {"refused": text}
-        return {"gap": diagnosis.plain(), "seconds": sum(log.duration), "doubts": list(doubts.said)}
+        return {
+            "gap": diagnosis.plain(),
+            "seconds": sum(log.duration),
+            "doubts": list(doubts.sentences),
+        }
 
     question = {"kind": "gap", "settings": asdict(task.settings)}
     try:
@@ -96,7 +96,7 @@ class DiagnosedLog(Part, frozen=True, kw_only=True):
         evidence: why there is none.
         key: of the whole diagnosis in the store.
         gap: (n,) RMS gap of each joint as a share of the upper end of its noise floor.
-        closed: share of the gap that the effects close.
+        closed: share of the gap beyond noise that the effects close.
         effects: that are named, e.g. `viscous_friction of joint 2`.
     """
 
@@ -189,10 +189,13 @@ def described(model: FleetModel, answers: Sequence[tuple[LogAnswer, dict[str, An
             place = entry["effect"], entry["family"], tuple(entry["joints"])
             having[place].append((answer.unit, entry))
     effects = []
+    # Share of the units: an effect that surely more of them have is the type's, one that surely
+    # fewer have is a unit's own
+    half = 0.5
     for (effect, family, joints), entries in having.items():
         by_unit = dict(reversed(entries))
         low, high = clopper_pearson(len(by_unit), len(units))
-        scope: Scope = "type" if low > HALF else "unit" if high < HALF else "some"
+        scope: Scope = "type" if low > half else "unit" if high < half else "some"
         effects.append(
             FleetEffect(
                 effect=effect,

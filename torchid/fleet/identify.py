@@ -49,8 +49,6 @@ from torchid.statistics.random_effects import FEWEST_UNITS, Pooled, Sessions, po
 INDEX = "index.parquet"
 """Of a store: one row a log, for duckdb or pandas."""
 
-WORTH_PROCESSES = 40
-"""Units from which on processes are started to fit them."""
 
 OF_EACH = (
     "mean", "std", "between", "between_ci95", "daily", "daily_ci95", "noise", "units", "sessions",
@@ -295,7 +293,8 @@ def fleet_identify(
             for unit, own in sessions.items()
         ]
         # A unit is fitted in tenths of a second, and a process starts in seconds.
-        crew = 1 if isinstance(workers, int) and len(tasks) < WORTH_PROCESSES else workers
+        # 40: units from which on processes are started to fit them
+        crew = 1 if isinstance(workers, int) and len(tasks) < 40 else workers
         units = attempted(answer_unit, tasks, crew, "fitting units", progress)
         done = [u for u in units if isinstance(u, UnitAnswer)]
         lost = [

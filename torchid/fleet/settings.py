@@ -3,8 +3,9 @@
 import math
 from dataclasses import dataclass
 
+from torchid.effects.names import DEFAULT_EFFECTS
 from torchid.errors import TorchidError
-from torchid.identification.settings import DEFAULT_EFFECTS, Basis, Rows, require_between
+from torchid.identification.settings import Basis, Rows, require_between
 
 
 @dataclass(frozen=True)

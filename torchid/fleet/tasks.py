@@ -156,7 +156,7 @@ def _reduced(
         """What the doctor says of the beginning, which is read again: it would keep the memory."""
         if (log := next(stretches(path, model.request))).n == model.robot.n:
             begin = first_minute(with_gain(log, model))
-            evidence.extend(ask_first(model.robot, begin, force=model.settings.force).said)
+            evidence.extend(ask_first(model.robot, begin, force=model.settings.force).sentences)
 
     try:
         try:

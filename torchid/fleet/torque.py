@@ -86,7 +86,7 @@ def common_motion(
 def torque_spread(
     models: Sequence[Model], motion: CommonMotion, claims: Sequence[Model] = ()
 ) -> TorqueSpread:
-    """Of two models or more.
+    """How far the torques of two models or more are apart on a motion.
 
     Args:
         models: their torques.

@@ -29,8 +29,7 @@ from torchid.design.segments import (
     segments_of,
     still_joints,
 )
-from torchid.design.signal import DRIVE_GAIN, SENSOR_GAIN, from_current, without_signal
-from torchid.effects.phase import JointElasticity
+from torchid.design.signal import DRIVE_GAIN, from_current, without_signal
 from torchid.errors import LogError
 from torchid.gap.rows import STRETCH, spread_out
 from torchid.gap.settings import GapSettings
@@ -44,8 +43,6 @@ LONGEST = 2_100.0
 """Seconds of motion times joints that are searched: five minutes of seven joints, whose intervals
 are far below what is worth a name. The search keeps the columns of all candidates there."""
 
-FALSE_SWING = 0.01
-"""Level of a false link that swings, among all joints [1]."""
 
 SHORTEST = 4 * EDGE
 """Length of the shortest segment, in periods of the cut-off: both edges, and as much between."""
@@ -123,7 +120,7 @@ class Data:
         return len(self.samples) * self.samples.interval
 
     def without_silent(self, columns: Columns, parts: Int[Tensor, " N"]) -> "Data":
-        """The same data; of joints whose torque holds no signal no sample counts.
+        """These data; of joints whose torque holds no signal no sample counts.
 
         Args:
             columns: at the model as given.
@@ -145,17 +142,16 @@ class Data:
         return replace(self, keep=keep, silent=joints, warnings=(*self.warnings, said))
 
     def with_swings(self, columns: Columns) -> "Data":
-        """The same data, with the links that are seen to swing above the fit's band.
+        """These data, with the links that are seen to swing above the fit's band.
 
         Args:
             columns: at the model as given.
         """
         # Encoders of the links say more; a model that has elastic joints swings by itself.
-        if self.lag is not None or any(
-            isinstance(effect, JointElasticity) for effect, _ in columns.model.effects
-        ):
+        if self.lag is not None or any(effect.elastic for effect, _ in columns.model.effects):
             return self
-        return replace(self, swings=swings(columns, self.keep, FALSE_SWING))
+        # 0.01: level of a false link that swings, among all joints
+        return replace(self, swings=swings(columns, self.keep, 0.01))
 
 
 def spread_over(log: Log, seconds: float) -> tuple[Log, tuple[str, ...]]:
@@ -267,7 +263,9 @@ def prepare(
     positions = noise * band**2.5
     lags = [s.motion.lag.T for s in long if s.motion.lag is not None]
     lag = samples.of(lags) if lags else None
-    known = SENSOR_GAIN if gain_std is None else gain_std
+    # 0.01: how well the scale of a measured torque is known: makers of joint torque sensors promise
+    # half a per cent to one, and a model whose shape is right leaves as much
+    known = 0.01 if gain_std is None else gain_std
     return Data(
         samples, keep, slides, missing, still, (), band, known, positions, tuple(said), lag,
         gain_said=gain_std is not None,

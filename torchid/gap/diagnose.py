@@ -31,8 +31,6 @@ from torchid.position.nominal import nominal_servos, servos_as_given, sheets_of,
 from torchid.results.answer import Diagnosis, Stopped
 from torchid.robot.model import Robot
 
-SETTLED = 0.9
-"""Share of the error that a diagnosis takes away where it has answered what was doubted."""
 OF_POSITIONS = ("parameters", "worthwhile", "seed")
 """Settings that logs of commands and positions have a use for."""
 
@@ -131,7 +129,8 @@ def diagnose(
         else:
             found = _of_positions(robot, handed.pop(), held_out, settings, servo, pace, watch)
     answer = found.answer
-    settled = answer.status in ("no_gap", "negligible") or answer.less >= SETTLED
+    # 0.9: share of the error that a diagnosis takes away where it has answered what was doubted
+    settled = answer.status in ("no_gap", "negligible") or answer.less >= 0.9
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
@@ -179,7 +178,7 @@ def _of_positions(
     pace: Pace,
     watch: Watch | None,
 ) -> PositionDiagnosis:
-    """Of logs of commands and positions."""
+    """The diagnosis of logs of commands and positions."""
     settings, default = settings or GapSettings(), GapSettings()
     changed = [
         f.name

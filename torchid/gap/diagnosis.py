@@ -114,7 +114,7 @@ class TorqueOverTime:
 
     @classmethod
     def of(cls, traces: Sequence[Trace]) -> "TorqueOverTime":
-        """Of all traces, instant by instant."""
+        """Rows of all traces, instant by instant."""
         n = traces[0].measured.shape[1]
         times = [t.motion.require("t", "a trace") for t in traces]
         since = [x - x[0] + trace.stamp for x, trace in zip(times, traces, strict=True)]

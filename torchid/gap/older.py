@@ -11,8 +11,6 @@ Json = dict[str, Any]
 
 RENAMED = {"velocity_reversal": "reversal", "low_speed": "slow", "high_speed": "fast"}
 """Regimes, where they have other names now; others of gap/1 are left out where they are gone."""
-SURE = 0.9
-"""Probability of a branch of causes from which on gap/1 named it in the place of its likeliest."""
 
 
 def from_first(data: Json) -> Json:
@@ -49,6 +47,18 @@ def of_positions(data: Json) -> Json:
     return data | {"answer": with_errors(answer, []) | lists}
 
 
+def of_pair(data: Json) -> Json:
+    """A document of torchid.pair/1: an effect had its numbers on either side."""
+    which = data["which"]
+    if which is not None:
+        which = [
+            {key: value for key, value in one.items() if key not in ("simulator", "arm")}
+            | {"parameters": one["arm"], "file": one["simulator"]}
+            for one in which
+        ]
+    return data | {"schema": "torchid.pair/2", "which": which}
+
+
 def with_errors(answer: Json, on: list[str]) -> Json:
     """An answer whose errors are numbers, with the data that they are of."""
     more = {"unit": answer["unit"], "on": on, "how": "left out in turn"}
@@ -66,7 +76,11 @@ def _regimes(old: Iterable[Json]) -> Iterable[Json]:
 def _named(entry: Json, of_file: list[Json]) -> Json:
     """What was an accepted effect, with its one probability, and the branch where that is wide."""
     branch, sure, wide = (entry.get(key) for key in ("branch", "how_sure", "branch_sure"))
-    is_wide = (wide or 0.0) >= SURE and (entry.get("one_of_a_set") or (sure or 0.0) < SURE)
+    # Probability of a branch of causes from which on gap/1 named it in the place of its likeliest
+    least_sure = 0.9
+    is_wide = (wide or 0.0) >= least_sure and (
+        entry.get("one_of_a_set") or (sure or 0.0) < least_sure
+    )
     cause = _with_file(entry, of_file) | {
         "branch": branch if is_wide else "",
         "how_sure": wide if is_wide else sure,

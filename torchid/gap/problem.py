@@ -49,7 +49,7 @@ class Problem:
 
     @property
     def robot(self) -> Robot:
-        """As given."""
+        """The robot as given."""
         return self.given.model.robot
 
     @property

@@ -280,7 +280,7 @@ class NoiseFloor(Part, frozen=True):
 
     @property
     def total(self) -> Interval:
-        """The same over all joints, as root of the sum of squares."""
+        """The error over all joints, as root of the sum of squares."""
         low, high = self.ends.norm(dim=0).tolist()
         return low, high
 

@@ -19,6 +19,7 @@ from torchid.design.segments import Segment
 from torchid.effects.motion import Motion
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
+from torchid.gap.cause_records import body_cause, valued
 from torchid.gap.causes.explain import AGAIN, Explained, explain, of_asked_log
 from torchid.gap.causes.search import JUDGED
 from torchid.gap.describe.checked import Decision, decide
@@ -41,7 +42,6 @@ from torchid.gap.record import Budget, Known
 from torchid.gap.rows import LogRows, kept
 from torchid.gap.settings import GapSettings
 from torchid.gap.stacked import beside, earlier_of
-from torchid.gap.told import told_bodies, valued
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
 from torchid.parallel.pace import Pace
@@ -214,7 +214,7 @@ def with_refit(said: Findings, decision: Decision) -> Findings:
     given = problem.wanted.free and not problem.fitted_first
     if not given or far.closed is None or far.closed_ci95 is None or far.closed_ci95[0] <= 0:
         return said
-    bodies = told_bodies((), share=far.closed, judged=problem.judged_on)
+    bodies = body_cause((), share=far.closed, judged=problem.judged_on)
     return replace(said, causes=tuple(sorted((*said.causes, bodies), key=lambda c: -c.share)))
 
 
@@ -241,10 +241,6 @@ def is_poor(found: Explanation, unseen: Sequence[NotTestable]) -> bool:
     return len(unseen) > 0.5 * len(places) or data.seconds < SHORTEST_LOG
 
 
-STATES = 400
-"""States of a log over which the torque of links that are no bodies counts [1]."""
-
-
 def with_bodies_nearest(
     robot: Robot, segments: Sequence[Segment]
 ) -> tuple[Robot, Float[Tensor, " n"]]:
@@ -267,7 +263,8 @@ def with_bodies_nearest(
     from torchid.feasibility.sets import ParameterSets
 
     every = [torch.cat(x) for x in zip(*(s.motion.state for s in segments), strict=True)]
-    step = max(1, len(every[0]) // STATES)
+    # 400: states of a log over which the torque of links that are no bodies counts
+    step = max(1, len(every[0]) // 400)
     states = Motion(*(x[::step].double() for x in every))
     none = torch.zeros(1, 0, dtype=torch.float64)
     pi = parameters.pi.detach().cpu().double().unsqueeze(0)

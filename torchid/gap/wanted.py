@@ -17,8 +17,8 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot
 
-BASE, LINK = "all_base", "link_inertia"
-"""Names of corrections of the links' parameters: of all base parameters, and of one link."""
+BASE = "all_base"
+"""Name of a correction of all base parameters; that of one link is `LINK`."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from itertools import product
 
 import torch
 
-from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
+from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.names import PLACES
 from torchid.effects.registry import effect_from_record, fitted_kind
 from torchid.effects.written import name_and_pairs
@@ -26,7 +26,7 @@ from torchid.typing import Float, Tensor
 
 
 @dataclass(frozen=True)
-class Asked:
+class AskedEffect:
     """An effect at one place.
 
     Attributes:
@@ -43,7 +43,7 @@ class Asked:
         return not (self.searched or self.effect.needs or self.effect.over_time)
 
 
-def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
+def asked_effects(written: Sequence[str], robot: Robot) -> tuple[AskedEffect, ...]:
     """Effects of a robot, kind by kind in the order in which they are first named.
 
     Raises:
@@ -72,7 +72,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[Asked, ...]:
     return tuple(found)
 
 
-def _places(text: str, robot: Robot) -> list[Asked]:
+def _places(text: str, robot: Robot) -> list[AskedEffect]:
     """The effect at the places that are named; at every place where none is."""
     name, given = name_and_pairs(text, "effect")
     kind = fitted_kind(name)
@@ -91,11 +91,9 @@ def _places(text: str, robot: Robot) -> list[Asked]:
     values = {**shapes, **{k: v for k, v in given.items() if k not in PLACES}}
     where = {k: v for k, v in given.items() if k in PLACES}
     # Joints, from 1, of every place where the effect can be.
-    places = [{"joint": j + 1} for j in robot.driven]
-    if issubclass(kind, ModelEffect):
-        names = [p for p in PLACES if p in own]
-        found = dict.fromkeys(e.identity[1] for e in kind.candidates(robot))
-        places = [dict(zip(names, (j + 1 for j in at), strict=True)) for at in found]
+    names = [p for p in PLACES if p in own]
+    found = dict.fromkeys(e.identity[1] for e in kind.candidates(robot))
+    places = [dict(zip(names, (j + 1 for j in at), strict=True)) for at in found]
     zeros = {c.name: 0.0 for c in kind.coefficients}
     effects = [
         effect_from_record({"effect": kind.name, **place, **zeros, **values}, robot)[0]
@@ -107,7 +105,7 @@ def _places(text: str, robot: Robot) -> list[Asked]:
             f"effect {text}: there is no such place on this arm.",
             available=[",".join(f"{k}={v}" for k, v in p.items()) for p in places],
         )
-    return [Asked(effect, searched) for effect in effects]
+    return [AskedEffect(effect, searched) for effect in effects]
 
 
 def with_shapes(effect: Effect, names: Sequence[str], values: Sequence[float]) -> Effect:
@@ -115,15 +113,12 @@ def with_shapes(effect: Effect, names: Sequence[str], values: Sequence[float]) -
     return replace(effect, **dict(zip(names, values, strict=True)))
 
 
-LEVELS = 5
-"""Times that a shape is refined: to less than a hundredth of the grid's step."""
-
 ROUNDING = 1e-9
 """Share of a column's square left beside the fit below which the column says nothing of its own."""
 
 
 def search_shapes(
-    unknown: Sequence[Asked],
+    unknown: Sequence[AskedEffect],
     source: RowSource,
     found: Fit,
     cutoff: float | None,
@@ -154,7 +149,8 @@ def search_shapes(
         beside = rows.beside(others)
         # The best shape of the grid, refined; none where none tells anything.
         now, largest = unknown[k].effect, 0.0
-        for level in range(-1, LEVELS):
+        # 5: times that a shape is refined: to less than a hundredth of the grid's step
+        for level in range(-1, 5):
             for effect in _tried(now, unknown[k].searched, rows.motions, level, band):
                 gain = beside.gain(effect)
                 if gain > largest:

@@ -87,16 +87,6 @@ RANK_TOLERANCE = 1e-4
 """Relative size below which a diagonal entry of R counts as zero. Kept entries are of order 1e-2
 and above on the arms tried, dropped ones 1e-15; twists written as 1.5708 for pi/2 make 1e-5."""
 
-VISIBLE = 1e-4
-"""Coefficients of a grouping below this share of its largest are not shown in its name: they come
-from twists written with a few digits, not from the robot's structure."""
-
-_CLEAR_GAP = 1e3
-
-_LARGEST_SHARE = 2.0
-"""Share of an independent column in a dependent one, both of length one, above which the two are
-exchanged. Arms whose link frames have an axis along the joint's stay below 1.5."""
-
 
 @dataclass(frozen=True)
 class BaseParameters:
@@ -162,7 +152,9 @@ class BaseParameters:
 def visible(grouping: Float[Tensor, "*rows P"]) -> Bool[Tensor, "*rows P"]:
     """Which coefficients of a grouping its names show."""
     size = grouping.abs()
-    return size > VISIBLE * size.amax(-1, keepdim=True)
+    # 1e-4: coefficients of a grouping below this share of its largest are not shown in its name:
+    # they come from twists written with a few digits, not from the robot's structure
+    return size > 1e-4 * size.amax(-1, keepdim=True)
 
 
 def base_parameters(
@@ -294,7 +286,8 @@ def group_columns(
     # What an exchange does not change: how clear the rank is.
     gap = (float(diagonal[kept].min()), float(diagonal[~kept].max()) if len(dependent) else 0.0)
     warnings: tuple[str, ...] = ()
-    if gap[1] > 0 and gap[0] / gap[1] <= _CLEAR_GAP:
+    # 1e3: ratio of neighbouring singular values that separates a rank from rounding
+    if gap[1] > 0 and gap[0] / gap[1] <= 1e3:
         weakest = names[int(torch.where(kept, diagonal, torch.inf).argmin())]
         strongest = names[int(torch.where(kept, -torch.inf, diagonal).argmax())]
         warnings = (
@@ -332,7 +325,10 @@ def _exchanged(y: Float[Tensor, "R C"], kept: Bool[Tensor, " C"]) -> Bool[Tensor
     while b and len(outside):
         r = torch.linalg.qr(factor[:, torch.cat([inside, outside])], mode="r").R
         share = torch.linalg.solve_triangular(r[:b, :b], r[:b, b:], upper=True).abs()
-        if float(share.max()) <= _LARGEST_SHARE:
+        # 2.0: share of an independent column in a dependent one, both of length one, above which
+        # the two are exchanged. Arms whose link frames have an axis along the joint's stay below
+        # 1.5.
+        if float(share.max()) <= 2.0:
             break
         i, j = divmod(int(share.argmax()), len(outside))
         inside[i], outside[j] = outside[j].clone(), inside[i].clone()
@@ -360,9 +356,6 @@ def non_negative(base: BaseParameters, effects: Sequence[Effect]) -> Bool[Tensor
     rigid = [False] * base.n_rigid_parameters
     bounded = [*rigid, *(c.non_negative for e in effects for c in e.coefficients)]
     return torch.tensor([bounded[k] and base.is_single(b) for b, k in enumerate(base.independent)])
-
-
-_ROUNDING = 1e-6
 
 
 def physical_signs(base: BaseParameters, effects: tuple[Effect, ...]) -> Int[Tensor, " B"]:
@@ -401,4 +394,5 @@ def _dual(rows: Float[Tensor, "B P"], base: BaseParameters, bounded: Tensor) -> 
     lower = torch.cat([b / 2, a], -1).unsqueeze(-2)
     least = torch.linalg.eigvalsh(torch.cat([upper, lower], -2))[..., 0].amin(-1)
     coefficients = torch.where(bounded, rest >= 0, rest == 0).all(-1)
-    return (least >= -_ROUNDING * rows.abs().amax(-1)) & coefficients
+    # 1e-6: rounding, over the row's largest entry
+    return (least >= -1e-6 * rows.abs().amax(-1)) & coefficients

@@ -8,12 +8,12 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, check_X_y
 
 from torchid.effects.base import Motion
+from torchid.effects.names import DEFAULT_EFFECTS
 from torchid.errors import TorchidError
 from torchid.identification.asked import asked_effects
 from torchid.identification.base_parameters import base_parameters, non_negative, stacked_regressor
 from torchid.identification.least_squares import solve, stacked_factor, undetermined_columns
 from torchid.identification.model import model_torque
-from torchid.identification.settings import DEFAULT_EFFECTS
 from torchid.inputs import RobotLike, as_robot
 from torchid.typing import Bool, Float, Tensor
 

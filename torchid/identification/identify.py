@@ -10,7 +10,7 @@ from msgspec import structs
 from torchid.design.motion import Measurement, fast_speed, measurements, timed
 from torchid.effects.base import Effect
 from torchid.errors import IdentificationError, LogError
-from torchid.identification.asked import Asked, asked_effects, search_shapes
+from torchid.identification.asked import AskedEffect, asked_effects, search_shapes
 from torchid.identification.knowledge import (
     fit_root,
     inflation,
@@ -47,20 +47,6 @@ from torchid.robot.knowledge import Knowledge
 from torchid.robot.model import Robot, joint_list
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
-
-FEWEST_DIGITS = 1e-4
-"""Relative error at which a number is no result: four digits, as many as a good torque log has.
-Rounding makes that of eps times the condition number of columns of length one, even of a log
-without noise; so a fit is refused from a condition number of 4.5e11 on."""
-
-NO_BETTER = 100.0
-"""Error relative to the torque from which a model is worse than none [%]."""
-
-HARDLY_MOVES = 0.05
-"""Way of a joint [rad; m] below which little of its dynamics shows."""
-
-LOAD_FITS = 2
-"""Fits from which effects of the torque take their torque, before the last one."""
 
 
 def identify(
@@ -238,7 +224,10 @@ def refuse_lost(condition: float, log: Log) -> None:
     """Raise IdentificationError where rounding alone would leave no four digits: values of
     thousands of kilograms would be printed with standard deviations as large, and look like a
     result."""
-    largest = FEWEST_DIGITS / torch.finfo(torch.float64).eps
+    # 1e-4: relative error at which a number is no result: four digits, as many as a good torque log
+    # has. Rounding makes that of eps times the condition number of columns of length one, even of a
+    # log without noise; so a fit is refused from a condition number of 4.5e11 on.
+    largest = 1e-4 / torch.finfo(torch.float64).eps
     if condition > largest:
         raise IdentificationError(
             "these logs cannot tell the parameters apart: the fit is lost in rounding.",
@@ -308,12 +297,14 @@ def refuse_useless(
     """
     found = errors(fitted, free)
     percent, moving = found.relative_percent, found.relative_percent_moving.nan_to_num(0.0)
-    useless = (percent > NO_BETTER) & percent.isfinite() & (percent > moving)
+    # 100.0: error relative to the torque from which a model is worse than none [%]
+    useless = (percent > 100.0) & percent.isfinite() & (percent > moving)
     worse = useless.nonzero().flatten().tolist()
     if 2 * len(worse) <= int(percent.isfinite().sum()):
         return
     moved, said = _travel(log)
-    slow = [j for j, x in enumerate(moved) if x < HARDLY_MOVES]
+    # 0.05: way of a joint [rad; m] below which little of its dynamics shows
+    slow = [j for j, x in enumerate(moved) if x < 0.05]
     hint = f"; {joint_list(slow)} hardly move" if slow else ""
     raise IdentificationError(
         "these logs determine no model: over all rows it predicts the torque worse than zero does.",
@@ -333,7 +324,7 @@ def _dependence(estimate: "_Estimate") -> tuple[float, float, float]:
 
 
 def _with_shapes(
-    asked: Sequence[Asked], training: Training, cutoff: float | None, reversal: Tensor
+    asked: Sequence[AskedEffect], training: Training, cutoff: float | None, reversal: Tensor
 ) -> tuple[list[Effect], tuple[str, ...]]:
     """All effects asked for, those shapes that were not given as the training data have them, and
     what is to be said about it."""
@@ -397,7 +388,8 @@ def _loaded(training: Training, measured: list[Measurement]) -> list[Measurement
         return measured
     first = Training.of(c.robot, training.log, without, training.settings)
     measured = _refitted_load(first, measured)
-    for _ in range(LOAD_FITS):
+    # 2: fits from which effects of the torque take their torque, before the last one
+    for _ in range(2):
         measured = _refitted_load(training, measured)
     return measured
 

@@ -108,12 +108,12 @@ def learned(
         columns.on_all_joints(e) if (link := e.body(robot)) is None else columns.regressor[link]
         for e in effects
     ]
-    a = torch.cat(parts) * keep
     left = columns.gap * keep
     # Rows in units of what an independent sample leaves; those far out count as their limit.
     unit = (effective / left.square().sum(1).clamp(min=1e-300)).sqrt()
     weight = huber_weights(left) * unit.unsqueeze(1)
-    table = (a * weight).flatten(1).T
+    table = torch.cat(parts).mul_(keep * weight).flatten(1).T
+    del parts  # which may be as large
     root = robust_root(table, (left * weight).flatten(), block.repeat(n))
     rms = (left.square().sum(1) / keep.sum(1).clamp(min=1)).sqrt()
     known = Knowledge(

@@ -24,9 +24,6 @@ from torchid.identification.settings import Covariance, Method
 from torchid.statistics.robust import HUBER, MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Int, Tensor
 
-_ROWS_A_COLUMN = 16
-"""Rows a column that wait before R takes them in: the factor of R alone is then no matter."""
-
 
 class TriangularFactor:
     """Accumulates rows (m, c) into an upper triangular R (c, c) with R'R = A'A.
@@ -42,7 +39,9 @@ class TriangularFactor:
     def add(self, rows: Float[Tensor, "m c"]) -> None:
         """Take in m rows."""
         self._waiting.append(rows)
-        if sum(map(len, self._waiting)) > _ROWS_A_COLUMN * rows.shape[1]:
+        # 16: rows a column that wait before R takes them in: the factor of R alone is then no
+        # matter
+        if sum(map(len, self._waiting)) > 16 * rows.shape[1]:
             self._waiting = [self.factor()]
 
     def factor(self) -> Float[Tensor, "c c"]:
@@ -90,9 +89,6 @@ def _householder(rows: Float[Tensor, "*batch _ c"]) -> Float[Tensor, "*batch c c
 _MAX_ITERATIONS = 30
 _CONVERGED = 0.05
 """Step of the reweighting, in standard deviations under white residuals, that counts as settled."""
-_UNDETERMINED = 1e-7
-_ROUNDING = 1e-10
-_LEAST_LEVEL = 1e-6
 _TINY = 1e-300
 
 
@@ -134,7 +130,8 @@ class Fit:
 
     @property
     def scaled_condition_number(self) -> float:
-        """The same with columns scaled to length one: what the choice of units cannot change."""
+        """The condition number with columns scaled to length one: what the choice of units cannot
+        change."""
         r = self.unweighted_factor[:-1, :-1][:, self.free]
         return _condition(r / torch.linalg.vector_norm(r, dim=0))
 
@@ -178,7 +175,8 @@ def fit(
     held = excluded | undetermined
     x, bounded = solve(plain, signs, held)
     residual = residuals(source, x)
-    rounding = _ROUNDING * float(torch.linalg.vector_norm(plain[:, -1])) / int(kept.sum()) ** 0.5
+    # 1e-10: noise that rounding of the torque makes, over it
+    rounding = 1e-10 * float(torch.linalg.vector_norm(plain[:, -1])) / int(kept.sum()) ** 0.5
     iterations, step = 0, torch.inf
     # Residuals that are rounding say nothing about noise: exact data stay with equal weights.
     exact = float(residual.square().mean().sqrt()) <= rounding
@@ -268,7 +266,8 @@ def _scales(residual: Tensor, kept: Tensor, method: Method, floor: float) -> Flo
 def _at_least(sigma: Tensor, floor: float) -> Tensor:
     """Levels no smaller than `floor` and a millionth of the largest: a joint that can be fitted
     exactly must not gain weight without end."""
-    return sigma.clamp(min=max(floor, _LEAST_LEVEL * float(sigma.max()), _TINY))
+    # 1e-6: noise of a joint over that of the noisiest, at least
+    return sigma.clamp(min=max(floor, 1e-6 * float(sigma.max()), _TINY))
 
 
 def _whitening(residual: Tensor, robust: Tensor, rounding: float) -> Float[Tensor, "n n"]:
@@ -319,13 +318,9 @@ def orthonormal(factor: Float[Tensor, "C C"], free: Int[Tensor, " F"]) -> Float[
 def undetermined_columns(r: Float[Tensor, "C C"], held: Bool[Tensor, " B"]) -> Bool[Tensor, " B"]:
     """Columns that are combinations of earlier ones in these data, or zero; from left to right."""
     kept = torch.zeros_like(held)
-    kept[~held], _ = independent_columns(r[:, :-1][:, ~held], _UNDETERMINED)
+    # 1e-7: share of a column below which it is the others'
+    kept[~held], _ = independent_columns(r[:, :-1][:, ~held], 1e-7)
     return ~kept & ~held
-
-
-CONTAMINATED = 0.03
-"""Share of an undetermined column that lies along an estimated one, above which the estimate is of
-their sum."""
 
 
 def contaminated_columns(
@@ -342,5 +337,7 @@ def contaminated_columns(
     out = torch.zeros_like(undetermined)
     if bool(lost.any()) and bool(known.any()):
         parts = columns[:, known] / size[known], columns[:, lost] / size[lost]
-        out[known] = ~(torch.linalg.lstsq(*parts).solution.abs() <= CONTAMINATED).all(1)
+        # 0.03: share of an undetermined column that lies along an estimated one, above which the
+        # estimate is of their sum
+        out[known] = ~(torch.linalg.lstsq(*parts).solution.abs() <= 0.03).all(1)
     return out

@@ -31,7 +31,7 @@ class Blocks:
 
         @property
         def blocks(self) -> int:
-            """Their number."""
+            """How many blocks the standard deviations are of."""
 
     def quantile(self, level: float = 0.95) -> float:
         """Half-width of a two-sided interval in standard deviations (Student, K - 1)."""
@@ -72,7 +72,7 @@ class IdentifiedModel:
 
         @property
         def covariance(self) -> Float[Tensor, "B B"]:
-            """Theirs."""
+            """Covariance of the values."""
 
         @property
         def undetermined(self) -> tuple[str, ...]:
@@ -80,7 +80,7 @@ class IdentifiedModel:
 
         @property
         def uncertainty(self) -> Blocks:
-            """Of the standard deviations."""
+            """How the standard deviations were made."""
 
     @property
     def _robot(self) -> Robot:

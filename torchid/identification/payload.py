@@ -47,13 +47,11 @@ from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.shapes import reach
 from torchid.statistics.jackknife import student_quantile
+from torchid.statistics.resampling import LEVEL
 from torchid.typing import Bool, Float, Tensor
 
-LEVEL = 0.95
 PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
-_GRAVITY = 9.81
-"""Acceleration [m/s^2] with which a torque is compared with a mass."""
 
 _ROUGH = 0.2
 """Relative standard deviation of the mass above which first-order intervals are called rough."""
@@ -200,7 +198,7 @@ class Payload(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
 
     @property
     def covariance(self) -> Float[Tensor, "10 10"]:
-        """Theirs."""
+        """Covariance of the payload's parameters."""
         return self.estimate.covariance
 
     @property
@@ -357,17 +355,12 @@ def _felt(robot: Robot, q: Float[Tensor, "T n"], joints: list[int]) -> Bool[Tens
 _MOSTLY_STANDS = 0.8
 """Share of a log at rest from which on a joint counts as one that stands."""
 
-_INSTANTS = 1000
-"""Of a trajectory, at most about so many whose mean says what standing joints hold."""
 
 _STATES, _FAINT = 60, 1e-3
 """Random states that show what joints feel, and the share of a torque that counts as none."""
 
 _ROUNDING = 1e-9
 """Relative size below which a change, or a negative eigenvalue, is rounding."""
-
-_SAME = 1e-6
-"""Squared distance, in standard deviations, below which two payloads have the same torques."""
 
 
 def payload(
@@ -464,7 +457,8 @@ def _at_rest(
     told = {j: at[f"Fc{j + 1}"] for j in standing if f"Fc{j + 1}" in at}
     rows, values = [], []
     for m in measurements(prepared(log, robot)[0], carrying.cutoff) if told else ():
-        some = slice(m.edge, m.samples - m.edge, max(1, m.samples // _INSTANTS))
+        # 1000: of a trajectory, at most about so many whose mean says what standing joints hold
+        some = slice(m.edge, m.samples - m.edge, max(1, m.samples // 1000))
         motion = m.whole.part(some)
         both = motion, Motion(motion.q, 0 * motion.q, 0 * motion.q)
         whole, y = (stacked_regressor(robot, (), x)[:, list(base.independent[:n])] for x in both)
@@ -578,7 +572,8 @@ def payload_from_evidence(
     # Nobody needs a log for an interval of masses that the arm could not even hold.
     length = reach(robot)
     powers = torch.tensor([0, *[1] * 3, *[2] * 6])
-    largest = torque / (_GRAVITY * length) * length ** powers.double()
+    # 9.81: acceleration [m/s^2] with which a torque is compared with a mass
+    largest = torque / (9.81 * length) * length ** powers.double()
     columns = last_link_columns(robot, base)
     joint = joint_regression(base, columns, empty, loaded)
     fitted = replace(fit_payload(model, robot, joint), gain_std=gain_std)
@@ -653,7 +648,9 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
     within, nearest = consistent, theta if consistent else None
     if not consistent and model == "general" and bool(torch.equal(determined, felt) and felt.any()):
         nearest, distance, directions = nearest_consistent(theta, covariance, fitted.null)
-        consistent = not everything and distance < _SAME
+        # 1e-6: squared distance, in standard deviations, below which two payloads have the same
+        # torques
+        consistent = not everything and distance < 1e-6
         region = _region(directions, float(freedom[felt].min()))
         within = consistent or distance <= region
         if not within and nearest_consistent(-theta, covariance, fitted.null)[1] > region:

@@ -43,22 +43,11 @@ Model = Literal["general", "symmetric", "point_mass"]
 _VANISHES = 1e-9
 """Relative size below which a change along a direction, or a variance, counts as none."""
 
-MOST_OF_IT = 0.9
-"""Share of a direction's information that makes one block's word for it doubtful."""
 
-_LOST = 1e-3
 _NUISANCE = 1e-12, 1e-6
 """Noise a combination of base parameters and effects may hide without being taken out of the rows,
 and the relative sizes between which that decides."""
 
-_UNSEEN = 1e-7
-"""Relative size below which the rows do not feel a direction of the payload."""
-
-_RESOLVED = 1e-6
-"""Share of others, in units of the columns, below which rows tell a parameter by itself."""
-
-_AWAY = 0.1
-"""How far from the origin the search for a point of unknown mass begins [m]."""
 
 _INSIDE, _AT_NO_DISTANCE, _SURE = 1e-8, 1e-7, 1e6
 """Of the nearest consistent body: its least eigenvalue; what directions that are at no distance
@@ -117,7 +106,8 @@ def evidence_of(result: Identification) -> tuple[Evidence, ...]:
     # The blocks have the free columns in the layout's order.
     place = order[free].argsort().argsort()
     shares, into = found.shares, triangle @ found.shares.back[place]
-    lone = into @ shares.alone(MOST_OF_IT)
+    # 0.9: share of a direction's information that makes one block's word for it doubtful
+    lone = into @ shares.alone(0.9)
     turned = torch.linalg.qr(torch.cat([lone, torch.eye(len(into)).to(into)], 1)).Q
     doubtful, sure = turned.split([lone.shape[1], len(into) - lone.shape[1]], 1)
     steps = shares.steps[:, place] @ triangle.T @ sure
@@ -151,7 +141,7 @@ class Joint:
 
     @property
     def values(self) -> Float[Tensor, " T"]:
-        """Of all rows."""
+        """Values of all parts, without and with the payload."""
         return torch.cat([part.values for part in (*self.empty, *self.loaded)])
 
     def spread(self, maps: Float[Tensor, "Q T"]) -> tuple[Tensor, Tensor]:
@@ -187,7 +177,8 @@ def joint_regression(
     # takes no row along.
     values = torch.cat([part.values for part in parts])
     noise = torch.cat([part.covariance.diagonal() for part in parts]).mean().sqrt()
-    lost = float((_LOST * noise / values.norm().clamp(min=1e-300)).clamp(*_NUISANCE))
+    # 1e-3: share of the noise that what is left out may make
+    lost = float((1e-3 * noise / values.norm().clamp(min=1e-300)).clamp(*_NUISANCE))
     taken = taken[:, sizes > lost * sizes[:1]]
     rest = torch.eye(len(payload)).to(payload) - taken @ taken.T
     return Joint(empty, loaded, rest @ payload, rest, payload.norm(dim=0))
@@ -273,7 +264,9 @@ def changes_beside(
         resolved = (inverse @ rows) * scale / scale.unsqueeze(1).clamp(min=1e-300)
         apart = (resolved - torch.eye(len(scale))).abs().amax(1)
         maps.append(inverse)
-        told.append((apart < _RESOLVED) & (size > 0) & ~held)
+        # 1e-6: share of others, in units of the columns, below which rows tell a parameter by
+        # itself
+        told.append((apart < 1e-6) & (size > 0) & ~held)
     slope = jacobian(fitted.to_parameters, fitted.free)
     both = torch.cat([-maps[0], maps[1]], 1)
     change = both @ joint.values - columns @ fitted.to_parameters(fitted.free)
@@ -289,7 +282,8 @@ def _estimator(joint: Joint, slope: Float[Tensor, "10 F"]) -> tuple[Tensor, Tens
     scale = torch.where(norm > 0, 1 / norm, 1.0)
     design = joint.design @ slope * scale
     left, sizes, directions = torch.linalg.svd(design, full_matrices=True)
-    rank = int((sizes > _UNSEEN).sum())
+    # 1e-7: relative size below which the rows do not feel a direction of the payload
+    rank = int((sizes > 1e-7).sum())
     basis = scale.unsqueeze(-1) * directions[:rank].T
     estimator = (basis / sizes[:rank]) @ left[:, :rank].T @ joint.rest
     return estimator, scale.unsqueeze(-1) * directions[rank:].T
@@ -319,7 +313,8 @@ def _point_mass_solution(
     place = general[1:4] / mass if mass > 0 else torch.zeros_like(general[1:4])
     open_ = null.abs().sum(1) > _VANISHES * null.abs().sum().clamp(min=1e-300)
     if bool(open_[0]):
-        mass, place = 1.0, general[1:4] + _AWAY * open_[1:4]
+        # 0.1: how far from the origin the search for a point of unknown mass begins [m]
+        mass, place = 1.0, general[1:4] + 0.1 * open_[1:4]
     # A square factor has the same sums of squares, and no fewer rows than parameters.
     table = torch.cat([joint.design, (joint.rest @ joint.values).unsqueeze(1)], 1)
     r = torch.linalg.qr(torch.cat([table, table.new_zeros(11, 11)]), mode="r").R

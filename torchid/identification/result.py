@@ -30,9 +30,6 @@ from torchid.typing import Bool, Float, Tensor
 UNEXPLAINED = 50.0
 """Relative torque error above which a joint's model is called useless [%]."""
 
-MUCH_STANDSTILL = 0.2
-"""Share of the fitted rows at rest above which a joint's friction is said to be biased."""
-
 
 @dataclass(frozen=True, eq=False)
 class Identification(IdentifiedModel, Result):
@@ -255,7 +252,8 @@ def _of_the_errors(result: Identification) -> list[str]:
         )
     # Rows at rest that were fitted as if half of the friction were there.
     shares = enumerate(result.fit.standstill_fraction.tolist(), start=1)
-    still = [f"{j} ({100 * share:.0f} %)" for j, share in shares if share > MUCH_STANDSTILL]
+    # 0.2: share of the fitted rows at rest above which a joint's friction is said to be biased
+    still = [f"{j} ({100 * share:.0f} %)" for j, share in shares if share > 0.2]
     if still and result.settings.rows == "all" and any(e.jumps for e in result.effects):
         said.append(
             "stand still in much of the fitted rows, where friction can hold any torque: joint "

@@ -36,10 +36,6 @@ PIECE = 16384
 SMOOTH = 20.0
 """Sampling rate of smooth columns at least, in cut-offs."""
 
-RESTS = 1 / 12
-"""Mean square of a joint's speed while it does not move, in squares of the speed at which it does,
-below which it rests: half the speed of a joint that turns, which passes evenly through all speeds
-there and has a third."""
 
 LINEAR = (ViscousFriction, RotorInertia, TorqueOffset)
 """Effects whose columns are as smooth as the motion."""
@@ -234,7 +230,10 @@ def at_ease(m: Measurement) -> Measurement:
         slow = pace <= 1
         # Stays, numbered from 1; what is in motion between them is none.
         stay = (slow & slow.diff(prepend=slow.new_zeros(1))).cumsum(0) * slow
-        rests = slow & (stay.bincount(pace) < RESTS * stay.bincount())[stay]
+        # 1 / 12: mean square of a joint's speed while it does not move, in squares of the speed at
+        # which it does, below which it rests: half the speed of a joint that turns, which passes
+        # evenly through all speeds there and has a third
+        rests = slow & (stay.bincount(pace) < (1 / 12) * stay.bincount())[stay]
         found[rests, j] = 0.5 * came[rests, j].to(found)
     return replace(m, motion=motion._replace(direction=found))
 

@@ -4,11 +4,11 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from torchid.effects.names import DEFAULT_EFFECTS
 from torchid.errors import TorchidError
 
 # As in torchid.robot.model, which loads torch: the command line has these settings without it.
 Basis = Literal["report", "conditioned"]
-DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
 
 Method = Literal["ols", "wls", "huber"]
 Covariance = Literal["diagonal", "full"]

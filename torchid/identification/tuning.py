@@ -34,16 +34,8 @@ CUTOFFS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0
 REVERSALS = (0.0, 0.0025, 0.005, 0.01, 0.02, 0.04)
 """Reversal speeds, as fractions of each joint's 99 % speed."""
 
-WORTH_IT = 1.01
-"""A higher reversal speed must lower the error by more than 1 % to be preferred."""
-
-NEGLIGIBLE = 1e-6
-"""Errors closer than this are rounding [%]."""
 
 FOLDS = 5
-LEFT_OUT = 0.1
-"""Factor on the rows of the stretch left out: with 1 % of their weight they determine what no other
-stretch excites (a joint that moves once), instead of rounding."""
 
 LONGEST = 40_000
 """Samples of the training data that take part in a choice, of robots of up to `MANY` joints."""
@@ -153,7 +145,9 @@ def choose_reversal(
         if report is not None:
             report(k + 1, len(REVERSALS))
     table = torch.stack(errors)
-    best = (table <= WORTH_IT * table.min(0).values + NEGLIGIBLE).to(torch.uint8).argmax(0)
+    # 1.01: a higher reversal speed must lower the error by more than 1 % to be preferred
+    # 1e-6: errors closer than this are rounding [%]
+    best = (table <= 1.01 * table.min(0).values + 1e-6).to(torch.uint8).argmax(0)
     return torch.tensor(REVERSALS, dtype=speed.dtype)[best] * speed.cpu()
 
 
@@ -215,7 +209,9 @@ def _left_out(training: Training, source: RowSource, weights: Fit) -> list[tuple
     factors = [factor(source, weights.robust * own, weights.whitening) for own in stretches]
     out = []
     for k, own in enumerate(stretches):
-        others = stacked_factor([f * LEFT_OUT if j == k else f for j, f in enumerate(factors)])
+        # 0.1: factor on the rows of the stretch left out: with 1 % of their weight they determine
+        # what no other stretch excites (a joint that moves once), instead of rounding
+        others = stacked_factor([f * 0.1 if j == k else f for j, f in enumerate(factors)])
         out.append((own, solve(others, training.non_negative, weights.undetermined)[0]))
     return out
 

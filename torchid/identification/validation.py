@@ -8,7 +8,7 @@ from operator import add
 import torch
 
 from torchid.design.motion import Measurement, moves
-from torchid.effects.base import Effect, JointEffect, Motion
+from torchid.effects.base import Effect, Motion
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.model import model_torque
 from torchid.identification.record import Errors
@@ -71,7 +71,7 @@ class Prediction:
 def pieces(m: Measurement, start: int, stop: int, effects: Sequence[Effect]) -> list[slice]:
     """Samples from one to another as many at a time as a model's torque is computed of: all, but
     of a motion that is made in parts; and all where an effect remembers what was before."""
-    remembers = any(isinstance(e, JointEffect) and e.memory for e in effects)
+    remembers = any(e.memory for e in effects)
     if isinstance(m.motion, Motion) or remembers:
         return [slice(start, stop)]
     return [slice(a, min(a + PIECE, stop)) for a in range(start, stop, PIECE)]

@@ -11,14 +11,8 @@ from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
 from torchid.typing import Float, Tensor
 
-AMPERES = 100.0
-"""Largest current of an arm's motor [A]: beyond are milliamperes."""
-BEYOND = 2.0
-"""Torque over the joint's limit from which it is not its own [1]: peaks are above a rating."""
 COUNTS = 200.0
 """Size of whole numbers from which they are counts, or a drive's per mille [1]."""
-TURNS = 4
-"""Times that a joint turns round from which its friction has had both signs."""
 EFFORTS = ("tau", "current")
 
 
@@ -63,12 +57,15 @@ def odd_channels(log: Log, effort: Float[Tensor, " n"] | None = None) -> list[Od
         found.append((whole, "whole numbers: counts, or per mille of a rating?"))
         if signal == "current":
             text = f"up to {float(most.max()):.4g} A: milliamperes?"
-            found.append((most > AMPERES, text))
+            # 100.0: largest current of an arm's motor [A]: beyond are milliamperes
+            found.append((most > 100.0, text))
         elif effort is not None:
             known = effort.isfinite() & (effort > 0)
             ratio = torch.where(known, most / effort, 0.0)
             text = f"up to {float(ratio.max()):.3g} times the joint's limit"
-            found.append((ratio > BEYOND, text))
+            # 2.0: torque over the joint's limit from which it is not its own: peaks are above a
+            # rating
+            found.append((ratio > 2.0, text))
         out += [
             OddChannel(signal, tuple(odd.nonzero().flatten().tolist()), why)
             for odd, why in found
@@ -90,7 +87,8 @@ def _unsigned(log: Log, x: Tensor, live: Tensor) -> Tensor:
             signs = step[large[:, j], j].sign()
             turns[j] += int((signs.diff() != 0).sum())
     never = (x.amin(0) >= 0) & live
-    every = bool((never | ~live).all()) and bool((turns[live] >= TURNS).all())
+    # 4: times that a joint turns round from which its friction has had both signs
+    every = bool((never | ~live).all()) and bool((turns[live] >= 4).all())
     return never if every else torch.zeros_like(never)
 
 

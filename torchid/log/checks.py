@@ -24,18 +24,12 @@ from torchid.typing import Float, Tensor
 NO_TORQUE = 1e-9  # what is below is no torque: zero, or what a driver leaves there [N m, N or A]
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
 MOVING = 1e-2  # a joint that varies more moves, in every log [rad or m]
-SHARE = 0.1  # in one whose motions are smaller, a share of the farthest joint's way
-RESOLVED = 20.0  # and many times what its positions resolve [1]
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
-JUMP = 0.05  # a step of a position below this is never called a jump [rad or m]
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
 FAR = 4.0 * math.pi  # an angle beyond may be in degrees, if the joint does not turn on [rad]
 DEGREES = 180.0 / math.pi
 MILLIMETRES = 1000.0
 RPM = 30.0 / math.pi
-OTHER_UNIT = 0.2
-"""A measured velocity that differs from the rate of q by more tells q's unit [1]."""
-DENIED = 10.0  # times as long as its rows take: no span of theirs
 TIME_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
@@ -190,7 +184,8 @@ def _spans(log: Log) -> Iterator[str]:
     for name, rows in zip(log.names, log.slices(), strict=True):
         steps = log.t[rows].diff()
         span, own = float(log.t[rows][-1] - log.t[rows][0]), float(steps.median()) * len(steps)
-        if span > DENIED * own:
+        # 10.0: times as long as its rows take: no span of theirs
+        if span > 10.0 * own:
             yield (
                 f"'{name}' lasts {span:.4g} s, and its {len(steps) + 1} rows {own:.4g} s at their "
                 f"usual step: a stamp may be damaged after row {int(steps.argmax()) + 1}."
@@ -317,7 +312,8 @@ def _agreement(log: Log, dq: Float[Tensor, "T n"]) -> Iterator[Agreement]:
 def least_way(log: Log) -> Float[Tensor, " n"]:
     """How much each joint (n,) varies at least where it moves, as far as this log tells [rad or m]:
     its own motions and its resolution say so, in a log of small motions."""
-    farthest = SHARE * float((log.q.amax(0) - log.q.amin(0)).max())
+    # 0.1: in one whose motions are smaller, a share of the farthest joint's way
+    farthest = 0.1 * float((log.q.amax(0) - log.q.amin(0)).max())
     least = torch.full((log.n,), min(MOVING, farthest), dtype=torch.float64)
     for k in range(log.n if farthest < MOVING else 0):
         parts = [log.q[rows, k].double() for rows in log.slices()]
@@ -325,7 +321,8 @@ def least_way(log: Log) -> Float[Tensor, " n"]:
         # A count is the smallest step.
         jumps = torch.cat([x.diff() for x in parts]).abs()
         count = jumps[jumps > 0].amin() if bool((jumps > 0).any()) else noise
-        least[k] = max(float(least[k]), min(MOVING, RESOLVED * float(max(noise, count))))
+        # 20.0: and many times what its positions resolve
+        least[k] = max(float(least[k]), min(MOVING, 20.0 * float(max(noise, count))))
     return least
 
 
@@ -392,10 +389,11 @@ def own_units(log: Log) -> dict[int, float]:
     found = [a for a in velocity_agreement(log) if a.correlation > FOLLOWS]
     # The least-squares slope: velocities late or coarse make the ratio too large.
     slopes = {a.joint: a.ratio * a.correlation for a in found}
+    # 0.2: a measured velocity that differs from the rate of q by more tells q's unit
     odd = {
         a.joint: slopes[a.joint]
         for a in found
-        if abs(slopes[a.joint] - 1) > OTHER_UNIT and named_ratio(a.ratio)[1] is None
+        if abs(slopes[a.joint] - 1) > 0.2 and named_ratio(a.ratio)[1] is None
     }
     if 1 < len(odd) == len(slopes) and near(max(odd.values()), min(odd.values())):
         return {}
@@ -419,7 +417,8 @@ def position_jumps(log: Log) -> list[str]:
             speed = step / dt
             # A sample is enough, and torch.quantile takes no more than 16 million numbers.
             usual = column_quantile(speed[:: max(1, len(dt) // 100_000), None], 0.99)[0]
-            jump = (step > JUMP) & (speed > 10 * usual)
+            # 0.05: a step of a position below this is never called a jump [rad or m]
+            jump = (step > 0.05) & (speed > 10 * usual)
             if not bool(jump.any()):
                 continue
             k = int(jump.to(torch.uint8).argmax())

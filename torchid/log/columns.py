@@ -27,7 +27,6 @@ PREFIXES = {
 }  # fmt: skip
 JOINT_SIGNALS = tuple(PREFIXES)
 _JOINT_COLUMN = re.compile(r"(ql|q|dq|ddq|tau|i|u|ext)(\d+)")
-_EXACT = 2**53  # larger whole numbers are not all floats
 _SINCE_1970 = (1e9, 5e9)  # seconds, from 2001 to 2128: no clock that starts with a log has them
 EXPECTED = (
     "t, q1..qn and, where known, dq1..dqn, ddq1..ddqn, tau1..taun or i1..in, ql1..qln, u1..un, traj"
@@ -243,7 +242,8 @@ def seconds(stamps: np.ndarray, factor: float = 1.0, offset: float = 0.0) -> np.
     start, end = (float(stamps.min()), float(stamps.max())) if stamps.size else (0.0, 0.0)
     least, most = _SINCE_1970
     # Nanoseconds since 1970 are counted from the first, or they would round.
-    if stamps.dtype.kind in "iu" and start > _EXACT:
+    # 2**53: larger whole numbers are not all floats
+    if stamps.dtype.kind in "iu" and start > (2**53):
         stamps = stamps - stamps[0]
     # A clock goes on: numbers that are all the same are of none.
     finer = [1 / unit for unit in (1e3, 1e6, 1e9) if least * unit < start < end < most * unit]

@@ -18,10 +18,6 @@ from torchid.log.formats import from_arrow, repeated
 from torchid.log.ros_echo import echo_table
 from torchid.log.table import Request, Shape, Table
 
-_LINES_LOOKED_AT = 200
-_LEAST_ROWS = 3
-"""Lines that are a table, where other lines stand before it."""
-_TAIL = 1 << 16
 _COMMENT = ("#", "%")
 
 
@@ -168,9 +164,9 @@ def at_one_time(
 
 def _dialect(path: Path) -> _Dialect:
     with open(path, encoding="utf-8-sig") as file:
+        # 200: lines that tell a table's form
         lines = [
-            line.rstrip("\r\n")
-            for line in islice(iter(lambda: file.readline(1_000_000), ""), _LINES_LOOKED_AT)
+            line.rstrip("\r\n") for line in islice(iter(lambda: file.readline(1_000_000), ""), 200)
         ]
     if any("\0" in line for line in lines):
         raise LogError(f"'{path}' is not a csv file, though its name says so.")
@@ -216,7 +212,8 @@ def _header(lines: Sequence[str], first: int) -> tuple[int, str]:
     delimiter = max(",;\t", key=text.count)
     if delimiter not in text and len(text.split()) > 1:
         delimiter = " "
-    best, found = _LEAST_ROWS - 1, (first, delimiter)
+    # Three lines are a table, where other lines stand before it.
+    best, found = 2, (first, delimiter)
     for other in dict.fromkeys((delimiter, *";\t, ")):
         width, length, begin = 0, 0, first
         for k in range(first, len(lines)):
@@ -256,7 +253,8 @@ def _are_units(cells: Sequence[str], width: int) -> bool:
 def _last_line(path: Path) -> str:
     """The last line, where it is not very long."""
     with open(path, "rb") as file:
-        file.seek(max(0, path.stat().st_size - _TAIL))
+        # 1 << 16: bytes that hold the last line
+        file.seek(max(0, path.stat().st_size - (1 << 16)))
         tail = file.read().decode("utf-8-sig", errors="replace").rstrip("\r\n")
     return tail.rpartition("\n")[2].rstrip("\r")
 

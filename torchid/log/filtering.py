@@ -20,9 +20,6 @@ from torchid.errors import LogError
 from torchid.typing import Float, Signals
 
 ORDER = 4
-SETTLING_PERIODS = 8.0
-"""Length of the filter's tail in periods of the cut-off: the slowest pole of a 4th-order
-Butterworth decays as exp(-0.38 wc t), to 1e-8 after eight periods."""
 
 
 ALL_PASSES = 0.45
@@ -56,7 +53,9 @@ class ZeroPhaseFilter:
     @property
     def tail(self) -> int:
         """Samples after which the impulse response is below 1e-8 of its area."""
-        return math.ceil(SETTLING_PERIODS * self.rate / self.cutoff)
+        # 8.0: length of the filter's tail in periods of the cut-off: the slowest pole of a
+        # 4th-order Butterworth decays as exp(-0.38 wc t), to 1e-8 after eight periods
+        return math.ceil(8.0 * self.rate / self.cutoff)
 
     def response(self, frequency: Float[Tensor, " F"]) -> Float[Tensor, " F"]:
         """Amplitude at frequencies [Hz] up to half the sampling rate."""
@@ -168,3 +167,28 @@ def central_difference(x: Signals, rate: float) -> Signals:
     first = (x[..., 1:2] - x[..., :1]) * rate
     last = (x[..., -1:] - x[..., -2:-1]) * rate
     return torch.cat([first, inner, last], -1)
+
+
+def lateness(
+    reference: Signals, signal: Signals, rate: float, cutoff: float
+) -> Float[Tensor, "4 ..."]:
+    """By how much signals (..., T) are behind their references: to first order
+    reference(t) = signal(t + lag), so that the least-squares lag is the first of these sums over
+    the second, and the square root of the fourth over the third is what differs.
+
+    Args:
+        reference, signal: at `rate` [Hz].
+        rate: of sampling.
+        cutoff: under which both are low-passed [Hz]; its period is left out at either end.
+
+    Returns:
+        Sums along time of (reference - signal) slope, slope^2, reference^2 and
+        (reference - signal)^2, the slope that of the signal.
+    """
+    low_pass = ZeroPhaseFilter(rate, cutoff)
+    edge = min(round(rate / cutoff), reference.shape[-1] // 4)
+    middle = slice(edge, reference.shape[-1] - edge)
+    a, b = low_pass.apply(reference), low_pass.apply(signal)
+    slope = central_difference(b, rate)[..., middle]
+    a, gap = a[..., middle], (a - b)[..., middle]
+    return torch.stack([x.sum(-1) for x in (gap * slope, slope**2, a**2, gap**2)])

@@ -18,11 +18,6 @@ from torchid.errors import LogError
 from torchid.log.columns import Columns
 from torchid.log.table import Request, Shape, Table
 
-_LARGE = 10_000_000
-"""Values of a parquet file whose columns are read one at a time: opening it costs less then."""
-
-_BEST_COMPRESSION = 1032  # of deflate, which packs the arrays of npz, HDF5 and MATLAB files
-
 
 def parquet_table(path: Path, request: Request) -> Table:
     """The table of a parquet file; a column of lists is an array."""
@@ -37,7 +32,9 @@ def parquet_table(path: Path, request: Request) -> Table:
     def read(wanted: Sequence[str]) -> dict[str, np.ndarray]:
         return read_parquet_columns(path, wanted)
 
-    large = rows * len(names) > _LARGE
+    # 10_000_000: values of a parquet file whose columns are read one at a time: opening it costs
+    # less then
+    large = rows * len(names) > 10_000_000
     return Table(path, "parquet", columns, read, one_by_one=large, repeated=repeated(names))
 
 
@@ -146,7 +143,8 @@ def require_held(path: Path, name: str, claimed: int, held: int) -> None:
     Raises:
         LogError: not even the best compression makes so much of so little.
     """
-    if claimed > _BEST_COMPRESSION * (held + 1024):
+    # 1032: of deflate, which packs the arrays of npz, HDF5 and MATLAB files
+    if claimed > 1032 * (held + 1024):
         raise LogError(
             f"'{path}': array {name} claims more numbers than the file can hold.",
             got=f"{claimed:.3g} bytes",

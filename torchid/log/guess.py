@@ -49,7 +49,7 @@ class _Group:
 
     @property
     def unit(self) -> str | None:
-        """That the name says."""
+        """The unit that a column's name says."""
         return unit_in(self.names[0], self.key)
 
     @property
@@ -291,8 +291,6 @@ def _named(names: list[str]) -> list[_Group]:
 
 _TURNS = 4 * math.pi
 """Angles beyond two turns are more likely degrees."""
-_COUNTS = 1000.0
-"""Angles beyond this are neither."""
 _MILLI = (4e3, 1e6)
 """Torques that most joints reach in mN m and, but for the largest robots, none does in N m; parts
 in a thousand of a rated torque, as drives send them, are less."""
@@ -326,15 +324,17 @@ def _guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) 
         rows = max(max(arrays[piece.name].shape) for piece in parts)
         return signal_of(key, source, parts, arrays, rows, table)
 
+    # Angles beyond this are neither
+    counts = 1000.0
     if "q" in silent:
         q = values("q", silent["q"], pieces["q"])
-        if _TURNS < np.abs(q).max(initial=0.0) < _COUNTS:
+        if _TURNS < np.abs(q).max(initial=0.0) < counts:
             found["q"] = "deg"
             if "dq" in silent and _follows(q, values("dq", silent["dq"], pieces["dq"]), step):
                 found["dq"] = "deg/s"
     if "u" in silent:
         u = np.nan_to_num(values("u", silent["u"], pieces["u"]))
-        if _TURNS < np.abs(u).max(initial=0.0) < _COUNTS:
+        if _TURNS < np.abs(u).max(initial=0.0) < counts:
             found["u"] = "deg"
     if "tau" in silent:
         tau = values("tau", silent["tau"], pieces["tau"])

@@ -13,8 +13,6 @@ import numpy as np
 from torchid.errors import LogError
 from torchid.log.joint_names import in_robot_order
 
-RESET_S = 1.0  # time that jumps back further begins another recording
-
 _SIGNALS = {"q": "position", "dq": "velocity", "tau": "effort"}
 
 
@@ -99,14 +97,16 @@ def joint_columns_of(
     whole = used[0] if len(used) == 1 else _joined(used, label, warnings)
     # Messages in the order of their stamps, repeated ones once; which run each belongs to.
     steps = np.diff(whole.time, prepend=whole.time[:1])
-    runs = np.cumsum(steps < -RESET_S * 1e9)
+    # time that jumps back further begins another recording
+    reset_s = 1.0
+    runs = np.cumsum(steps < -reset_s * 1e9)
     order = np.lexsort((whole.time, runs))
     time, run = whole.time[order], runs[order]
     same = (np.diff(time) == 0) & (np.diff(run) == 0)
     again = np.concatenate([[False], same])
     if again.any():
         warnings.append(f"{label}: {int(again.sum())} messages repeat a time stamp: left out.")
-    if (steps[steps > -RESET_S * 1e9] < 0).any():
+    if (steps[steps > -reset_s * 1e9] < 0).any():
         warnings.append(f"{label}: messages are not in the order of their stamps: sorted.")
     whole, runs = _picked(whole, order[~again]), run[~again]
     arrays = _arrays(whole, joints, label, warnings)

@@ -20,12 +20,7 @@ from torchid.log.units import unit_factor
 from torchid.log.words import NAMES
 
 _COUNTED = ("episode_index", "frame_index")
-_MOST_ELEMENTS = 10_000  # of a feature: no robot has more joints and sensors
 _PRESET = NAMES["lerobot"]
-_NORMALISED = 100.5
-"""No position is beyond this where -100 .. 100 is the calibrated range; degrees may be."""
-_RADIANS = 6.5
-"""No position is beyond this where it is in radians: joints of such arms turn once at most."""
 
 
 def is_lerobot(path: Path) -> bool:
@@ -123,7 +118,8 @@ def _size(feature: dict[str, Any]) -> int:
     """Elements of a feature of one dimension; 0 of any other."""
     shape = feature.get("shape") or [1]
     usual = isinstance(shape, list) and len(shape) == 1 and isinstance(shape[0], int)
-    return shape[0] if usual and shape[0] <= _MOST_ELEMENTS else 0
+    # 10_000: of a feature: no robot has more joints and sensors
+    return shape[0] if usual and shape[0] <= 10_000 else 0
 
 
 def _names(feature: dict[str, Any]) -> list[str]:
@@ -197,9 +193,11 @@ def _unit(
     values = [_part(table, feature, arm) for table in tables if feature in table]
     peak = max((float(np.nanmax(np.abs(x), initial=0.0)) for x in values), default=0.0)
     what = f"'{path}': q is {feature} of a {kind}, up to {peak:.3g}"
-    if peak <= _RADIANS:
+    # 6.5: no position is beyond this where it is in radians: joints of such arms turn once at most
+    if peak <= 6.5:
         return 1.0, f"{what}: taken for radians", None
-    if not any(name.endswith(".pos") for name in names) or peak > _NORMALISED:
+    # 100.5: no position is beyond this where -100 .. 100 is the calibrated range; degrees may be.
+    if not any(name.endswith(".pos") for name in names) or peak > 100.5:
         return math.pi / 180, f"{what}: taken for degrees", None
     return (
         1.0,

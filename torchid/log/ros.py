@@ -25,7 +25,6 @@ from torchid.log.words import is_commanded, looks_measured, words_of
 
 _TYPE = "sensor_msgs/msg/JointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-_OTHER_CLOCK_S = 1.0  # stamps that lag by so much more than others are of another clock
 _SIGNALS = ("position", "velocity", "effort")
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _DATA_END = struct.Struct("<BQQQI"), struct.Struct("<BQI")
@@ -309,7 +308,8 @@ def _commands(
     stamped = found.stamped and stamps.min() > 0 and (len(stamps) < 2 or np.ptp(stamps) > 0)
     if stamped:
         apart = 1e-9 * (float(np.median(received - stamps)) - found.late)
-        if abs(apart) > _OTHER_CLOCK_S:
+        # 1.0: stamps that lag by so much more than others are of another clock
+        if abs(apart) > 1.0:
             notes.append(
                 f"{label}: stamps are of another clock than the positions', {abs(apart):.3g} s "
                 "apart: the time of receipt is taken."

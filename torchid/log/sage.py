@@ -20,8 +20,6 @@ from torchid.log.joint_names import in_robot_order
 from torchid.log.table import Request, Table
 
 _STATES, _COMMANDS, _EVENTS = "state_motor.csv", "control.csv", "event.csv"
-_LEAST_STEP_US = 1.0
-"""No log has samples closer than this: smaller steps are seconds."""
 
 
 def is_sage(path: Path) -> bool:
@@ -41,7 +39,8 @@ def sage_table(path: Path, request: Request) -> Table:
     states = _lists(path / _STATES, ("positions", "velocities", "torques"))
     # Microseconds, unless the steps are too short for that.
     stamps = states.pop("timestamp")
-    second = 1.0 if np.median(np.diff(stamps)) < _LEAST_STEP_US else 1e-6
+    # 1.0: no log has samples closer than this: smaller steps are seconds
+    second = 1.0 if np.median(np.diff(stamps)) < 1.0 else 1e-6
     t, rows = second * stamps, np.ones(len(stamps), dtype=bool)
     order, joints, warnings = _order(path, states["positions"].shape[1], request)
     found = {name: values[:, order] for name, values in states.items()}

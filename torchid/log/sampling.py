@@ -24,7 +24,6 @@ SMALL_GAP = 3.0  # longer steps are counted as gaps, in steps
 LONG_GAP_STEPS = 20.0  # a gap longer than this, or
 LONG_GAP_S = 0.25  # than this, splits the trajectory
 SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
-BELOW_NYQUIST = 0.4  # what stays of a faster log, as a share of the new rate
 
 _SMOOTH = ("q", "dq", "ddq", "ql")
 
@@ -87,7 +86,8 @@ def at_rate(log: Log, rate: float) -> Log:
     for piece, own in zip(log.trajectories(), log.rates, strict=True):
         signals: dict[str, Any] = {}
         if own > near:
-            low = ZeroPhaseFilter(own, BELOW_NYQUIST * rate)
+            # 0.4: what stays of a faster log, as a share of the new rate
+            low = ZeroPhaseFilter(own, 0.4 * rate)
             signals = {k: low.apply(x.T).T for k, x in piece.signals.items()}
         name = piece.names[0]
         warnings.append(f"{name}: sampled at {own:.4g} Hz, and resampled to {rate:.4g} Hz.")

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.base import JointEffect, ModelEffect
 from torchid.effects.registry import (
     KINDS,
     effect_kind,
@@ -14,20 +14,16 @@ from torchid.effects.registry import (
 )
 from torchid.errors import TorchidError
 from torchid.excitation.fourier import FourierTrajectory
+from torchid.gap.cause_records import valued
 from torchid.gap.record import GapRecord
-from torchid.gap.told import valued
 from torchid.identification.base_parameters import base_parameters
 from torchid.next_motion.rows import Group, Rows, Setting
 from torchid.next_motion.separation import Explanation, Rival, imitation, other_means
-from torchid.results.cause import Cause
+from torchid.results.cause import LINK, Cause
 from torchid.robot.model import Robot
 
-LINK = "link_inertia"
 INERTIAL = (*(name for name, kind in KINDS.items() if kind.inertial), "all_base")
 """Names that refitted base parameters contain."""
-
-SAME_FRAMES = 1e-3
-"""Difference of joint frames [m; 1] that is rounding in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +90,8 @@ def refuse_another(source: str, model: Robot, robot: Robot) -> None:
         TorchidError: other joints or frames.
     """
     same_joints = robot.joint_types == model.joint_types
-    if same_joints and bool((robot.frames_apart(model) < SAME_FRAMES).all()):
+    # 1e-3: difference of joint frames [m; 1] that is rounding in a file
+    if same_joints and bool((robot.frames_apart(model) < 1e-3).all()):
         return
     raise TorchidError(
         f"'{source}' is of another robot.",
@@ -145,7 +142,7 @@ def _truth(entry: Cause, record: GapRecord, robot: Robot) -> Explanation:
     file = [entry.file.get(c.name, 0.0) for c in effect.coefficients]
     coefficients = [x - has for x, has in zip(coefficients, file, strict=True)]
     group: Group = (effect,)
-    if entry.common and isinstance(effect, ModelEffect):
+    if entry.common:
         group = tuple(type(effect).candidates(robot))
     return Explanation(group, tuple(coefficients))
 
@@ -157,13 +154,9 @@ def _untestable(record: GapRecord, robot: Robot) -> list[Rival]:
         kind, joint = effect_kind(entry.effect), entry.joint
         if not kind.by_motion or kind.inertial or kind.needs & {"age", "velocity"}:
             continue
-        effects: Sequence[Effect]
-        if issubclass(kind, ModelEffect):
-            places = kind.candidates(robot)
-            effects = [e for e in places if joint is None or e.joints[:1] == (joint,)]
-        else:
-            effects = [] if joint is None else [kind.exemplar(joint)]
-        for effect in effects:
+        for effect in kind.candidates(robot):
+            if joint is not None and effect.joints[:1] != (joint,):
+                continue
             question = Rival(Explanation((effect,), (1.0,) * len(effect.coefficients)), (), "")
             if question not in out:
                 out.append(question)
@@ -190,11 +183,6 @@ def _setting(record: GapRecord, robot: Robot) -> Setting:
         settings.free,
         tuple(dict.fromkeys(fitted)),
     )
-
-
-PLAUSIBLE = 0.1
-"""Torque of an effect that a log could not show, as a share of its joints' own: what is asked to be
-seen."""
 
 
 def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
@@ -224,7 +212,9 @@ def _seen(question: Rival, rows: Rows) -> Rival:
     acts = own > 1e-6 * own.max()
     size = effects[0].coefficients[best].largest
     if bool(acts.any()):
-        size = min(size, PLAUSIBLE * float(rows.torque[acts].norm() / own[acts].norm()))
+        # 0.1: torque of an effect that a log could not show, as a share of its joints' own: what is
+        # asked to be seen
+        size = min(size, 0.1 * float(rows.torque[acts].norm() / own[acts].norm()))
     values = [0.0] * columns.shape[1]
     values[best] = size if math.isfinite(size) else 1.0
     return replace(question, truth=Explanation(effects, tuple(values)))

@@ -24,9 +24,6 @@ from torchid.results.answer import Diagnosis
 from torchid.results.files import read
 from torchid.robot.model import Robot
 
-EVALUATIONS = 75
-"""Trajectories that the search for a separating motion tries a restart."""
-
 Asking = GapRecord | IdentificationRecord
 
 
@@ -166,8 +163,9 @@ def excite_for(
         harmonics=harmonics, duration=duration, clearance=clearance,
         progress=stage(progress, "a plain motion to compare with"),
     ).trajectory  # fmt: skip
+    # 75: trajectories that the search for a separating motion tries a restart
     made = design_separation(
         found.setting, rivals(found, plain), plain, seed=seed, usage=usage, clearance=clearance,
-        evaluations=EVALUATIONS * restarts, progress=stage(progress, "separating"),
+        evaluations=75 * restarts, progress=stage(progress, "separating"),
     )  # fmt: skip
     return replace(made, kind=found.kind, notes=found.notes)

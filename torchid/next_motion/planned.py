@@ -68,17 +68,17 @@ class Planned:
 
     @cached_property
     def log(self) -> Log:
-        """All of them, a trajectory each."""
+        """All motions as one log, a trajectory each."""
         return Log.concatenate([trajectory_log(x, self.rate) for x in self.motions])
 
     @cached_property
     def use(self) -> TorqueUse | None:
-        """What they ask of the drives."""
+        """What the motions ask of the drives."""
         return None if self.limits is None else self.limits.use(self.motions)
 
     @cached_property
     def nearest(self) -> Nearest | None:
-        """How near they come."""
+        """How near the motions come to what they must keep clear of."""
         return None if self.clearance is None else self.clearance.nearest(self.motions)
 
     def plain(self, file: str | None) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def clearance_record(
 
 
 def informed_record(d: InformedDesign) -> dict[str, Any]:
-    """JSON-ready."""
+    """What a motion tells of parameters before and after it, ready for JSON."""
     columns = zip(
         d.prior.base.names, d.prior.base.units, d.targets.tolist(), plain(d.before),
         d.with_plain.tolist(), d.after.tolist(), strict=True,
@@ -183,7 +183,7 @@ def informed_record(d: InformedDesign) -> dict[str, Any]:
 
 
 def separation_record(s: Separation) -> dict[str, Any]:
-    """JSON-ready."""
+    """What a motion separates, ready for JSON."""
     return {
         "criterion": "separation",
         "for": s.kind,

@@ -22,9 +22,6 @@ RATE = 40.0
 Group = tuple[Effect, ...]
 """Effects that share their coefficients: one, or the same one on every joint."""
 
-ROUNDING = 1e-6
-"""Of columns of length one: directions below it are rounding."""
-
 
 @dataclass(frozen=True, eq=False)
 class Setting:
@@ -147,7 +144,8 @@ def directions(columns: Float[Tensor, "R C"]) -> Float[Tensor, "R D"] | None:
     if not bool(there.any()):
         return None
     q, s, _ = torch.linalg.svd(columns[:, there] / size[there], full_matrices=False)
-    return q[:, s > ROUNDING]
+    # 1e-6: of columns of length one: directions below it are rounding
+    return q[:, s > 1e-6]
 
 
 def without(x: Tensor, basis: Tensor | None) -> Tensor:

@@ -36,22 +36,6 @@ from torchid.next_motion.separation import (
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
 
-SLOWEST = 0.03
-"""Share of the limits that a joint uses at least."""
-
-MOST_PAIRS = 16
-"""Pairs that the search looks at."""
-DECIDED_TIMES = 5.0
-"""Times what decides: beyond it a pair needs no more."""
-FIRST_MOTIONS = 6
-"""Motions tried before a pair is given up."""
-NEAREST_FORMS = 2
-"""Forms of the other effect that the search looks at, of each motion tried first."""
-LOGARITHM_WEIGHT = 0.02
-"""Weight of the mean logarithm beside the share of decided pairs."""
-
-_RANDOM_SHARE = 0.2  # of the evaluations, before the search
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Separation(Designed):
@@ -116,7 +100,8 @@ def design_separation(
     kept = AllOf.of(setting.robot, usage, torque, clearance)
     drawn = _random(setting.robot, plain, seed, usage, evaluations)
     plain, *tried = [kept.within(x) for x in (plain, *drawn)]
-    first = [plain, *tried[: FIRST_MOTIONS - 1]]
+    # The plain motion and five more are tried before a pair is given up.
+    first = [plain, *tried[:5]]
     seen = list(zip(*(separations(setting, rivals, x) for x in first), strict=True))
     settled = [
         k for k, told in enumerate(seen) if max(t.difference for t in told) > SAME_DIFFERENCE
@@ -170,21 +155,25 @@ def _promising(kept: Sequence[int], seen: Sequence[Sequence[Discrimination]]) ->
     first, then those that it does not, the hardest first."""
 
     def order(k: int) -> tuple[bool, float]:
-        sure = seen[k][0].reached >= DECIDED_TIMES
+        # 5.0: times what decides: beyond it a pair needs no more
+        sure = seen[k][0].reached >= 5.0
         return sure, seen[k][0].reached if sure else -max(t.reached for t in seen[k])
 
-    return sorted(kept, key=order)[:MOST_PAIRS]
+    # 16: pairs that the search looks at
+    return sorted(kept, key=order)[:16]
 
 
 def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) -> Rival:
     """The pair with the forms of the other that come nearest along some motions."""
-    if len(rival.others) <= NEAREST_FORMS:
+    # Forms of the other effect that the search looks at, of each motion tried first
+    nearest_forms = 2
+    if len(rival.others) <= nearest_forms:
         return rival
     near: dict[int, None] = {}
     for x in tried:
         rows = Rows(setting, x)
         own = rows.beside(torque_of(rival.truth, rows, rival.leaving), rival.leaving)
-        near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:NEAREST_FORMS].tolist())
+        near |= dict.fromkeys(left_by_forms(rows, rival, own).argsort()[:nearest_forms].tolist())
     return replace(rival, others=tuple(rival.others[k] for k in near))
 
 
@@ -197,19 +186,22 @@ def _hardly(told: Sequence[Discrimination], of_plain: Sequence[Discrimination]) 
 def _score(told: Sequence[Discrimination]) -> float:
     """About how many pairs are decided; and, where all or none are, how far they are from it."""
     reached = np.array([max(t.reached, 1e-12) for t in told])
-    return float(np.mean(1 - np.exp(-reached)) + LOGARITHM_WEIGHT * np.mean(np.log(reached)))
+    # 0.02: weight of the mean logarithm beside the share of decided pairs
+    return float(np.mean(1 - np.exp(-reached)) + 0.02 * np.mean(np.log(reached)))
 
 
 def _random(
     robot: Robot, plain: FourierTrajectory, seed: int, usage: float, evaluations: int
 ) -> list[FourierTrajectory]:
     """Random trajectories, every joint of each with its own share of the limits."""
-    count = max(4, round(_RANDOM_SHARE * evaluations))
+    # 0.2: of the evaluations, before the search
+    count = max(4, round(0.2 * evaluations))
     drawn = random_trajectory(
         robot, seed, count=count, fill=True, usage=usage, harmonics=plain.harmonics,
         duration=plain.duration, ramp=plain.ramp,
     )  # fmt: skip
     generator = torch.Generator().manual_seed(seed)
-    share = SLOWEST ** (torch.rand(count, robot.n, generator=generator, dtype=torch.float64) ** 2)
+    # 0.03: share of the limits that a joint uses at least
+    share = 0.03 ** (torch.rand(count, robot.n, generator=generator, dtype=torch.float64) ** 2)
     mixed = drawn.scaled(share)
     return [drawn.select(k) if k % 2 else mixed.select(k) for k in range(count)]

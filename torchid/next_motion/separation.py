@@ -31,23 +31,12 @@ SAME_SHARE = 4e-3
 """if it is also more than this share of what the true explanation explains: twice what a diagnosis
 neglects."""
 
-BLOCKS = 20
-"""Into which a diagnosis divides a log of less than 40 s."""
-
-DETECTABLE = 42.0
-"""D at the smallest detectable size that a diagnosis reports: twice 1.3 times chi^2's quantile for
-400 tests at 1 %, """
-VISIBLE = 0.02
-"""if more than this share of its column is no combination of what is fitted."""
 
 SAME_DIFFERENCE = 1e-3
 """D below which two explanations are the same."""
 
 FITTED = "take it from the maker's data, or trust the inertial parameters and diagnose again"
 """What settles a question where an effect knows nothing better."""
-
-TINY = 1e-11
-"""Eigenvalue of a form's columns below which a direction is rounding."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +48,7 @@ class Explanation:
 
     @property
     def effect(self) -> Effect:
-        """The first."""
+        """The first effect of the group."""
         return self.effects[0]
 
 
@@ -118,7 +107,7 @@ def separations(
 ) -> list[Discrimination]:
     """What a trajectory tells of every pair; the other's least favourable shape counts."""
     rows = Rows(setting, trajectory)
-    return [_told(rows, rival) for rival in rivals]
+    return [_separation(rows, rival) for rival in rivals]
 
 
 def torque_of(truth: Explanation, rows: Rows, leaving: Group) -> Float[Tensor, " R"]:
@@ -126,15 +115,16 @@ def torque_of(truth: Explanation, rows: Rows, leaving: Group) -> Float[Tensor, "
     return rows.columns(truth.effects, leaving) @ torch.tensor(truth.values, dtype=torch.float64)
 
 
-def _told(rows: Rows, rival: Rival) -> Discrimination:
+def _separation(rows: Rows, rival: Rival) -> Discrimination:
     gone = rival.leaving
     whole = torque_of(rival.truth, rows, gone)
     own = rows.beside(whole, gone)
     if not rival.name:
         difference = float(own.square().sum())
-        return Discrimination(
-            difference, min(difference / DETECTABLE, _share(own, whole) / VISIBLE)
-        )
+        # 42.0: D at the smallest detectable size that a diagnosis reports: twice 1.3 times chi^2's
+        # quantile for 400 tests at 1 %,
+        # 0.02: if more than this share of its column is no combination of what is fitted
+        return Discrimination(difference, min(difference / 42.0, _share(own, whole) / 0.02))
     if rival.others:
         nearest = rival.others[int(left_by_forms(rows, rival, own).argmin())]
         other = rows.beside(rows.columns(nearest, gone), gone)
@@ -152,10 +142,12 @@ def _in_blocks(square: Float[Tensor, " R"], columns: int) -> float:
     their variance 4 m, the motion more where it tells much in few of them; spread evenly, this is
     D / 9. The other has `columns` more that fit noise.
     """
-    d = torch.stack([part.sum() for part in square.tensor_split(BLOCKS)])
-    mean = max(0.0, float(d.mean()) - columns / BLOCKS)
+    # Into which a diagnosis divides a log of less than 40 s
+    blocks = 20
+    d = torch.stack([part.sum() for part in square.tensor_split(blocks)])
+    mean = max(0.0, float(d.mean()) - columns / blocks)
     spread = float(d.var()) + 4 * float(d.mean())
-    return 4 * BLOCKS * mean**2 / (DECISIVE * max(spread, 1e-300))
+    return 4 * blocks * mean**2 / (DECISIVE * max(spread, 1e-300))
 
 
 def _share(part: Tensor, of: Tensor) -> float:
@@ -171,7 +163,9 @@ def left_by_forms(rows: Rows, rival: Rival, own: Tensor) -> Float[Tensor, " F"]:
     x = x.T.reshape(len(forms), -1, len(own))
     values, vectors = torch.linalg.eigh(x @ x.mT)
     along = ((x @ own).unsqueeze(-2) @ vectors).squeeze(-2)
-    held = torch.where(values > TINY, along.square() / values.clamp(min=TINY), 0.0).sum(-1)
+    # Eigenvalue of a form's columns below which a direction is rounding
+    tiny = 1e-11
+    held = torch.where(values > tiny, along.square() / values.clamp(min=tiny), 0.0).sum(-1)
     return (own.square().sum() - held).clamp(min=0)
 
 

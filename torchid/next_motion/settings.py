@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from torchid.effects.names import EXCITED_EFFECTS
 from torchid.errors import TorchidError
 from torchid.excitation.settings import (
     CLEARANCE,
     DURATION,
-    EXCITED_EFFECTS,
     HARMONICS,
     RESTARTS,
     USAGE,
@@ -90,7 +90,7 @@ class MotionSettings:
 
     @property
     def series(self) -> dict[str, Any]:
-        """Of the Fourier series."""
+        """Settings of the Fourier series."""
         return {"harmonics": self.harmonics, "duration": self.duration, "usage": self.usage}
 
 

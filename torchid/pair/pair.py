@@ -3,10 +3,9 @@ and which effects only one of them has.
 
     aligned -> where -> faults of the set-up, one after the other -> effects of either side
 
-Effects are sought by two diagnoses. The first asks what the simulator's log has beside the model:
-with that the model is the simulator, whatever its file says. The second asks what the arm's log has
-beside the simulator: more of an effect, less of it, or one that only the arm has. It is not asked
-while the set-up is at fault, whose traces would look like effects.
+Effects are causes that are new in one log beside the other, both fitted as one problem, as of an
+earlier log and a later one: more of an effect, less of it, or one that only one of both has. They
+are not sought while the set-up is at fault, whose traces would look like effects.
 
 Logs without torque, of commands and positions alone, have servos that are compared instead: each
 side's by a diagnosis of its own log.
@@ -37,6 +36,7 @@ from torchid.pair.effects import Progress, effects_of
 from torchid.pair.faults import set_up_faults
 from torchid.pair.record import Difference, Fault, OneSided, PairRecord, ServoDifference, WherePair
 from torchid.pair.servos import servos_of
+from torchid.results.cause import Cause
 from torchid.results.record import Result
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -55,8 +55,8 @@ class PairDiagnosis(Result):
     Attributes:
         found: as the JSON has it.
         robot: the model, or None.
-        of_simulator, of_arm: the two diagnoses; None where they were not asked for, the first also
-            where the simulator's torque is the model's.
+        of_simulator, of_arm: the diagnoses of either log beside the other; None where they were not
+            asked for.
     """
 
     found: PairRecord
@@ -157,17 +157,18 @@ def compare_pair(
     if not torques and commands and robot and not NUMBERED & {f.fault for f in faults}:
         say("servos", 0, 1)
         for log in (simulated, real):
-            warnings += ask_first(robot, log, force=force).said
+            warnings += ask_first(robot, log, force=force).sentences
         servos, more = servos_of(robot, simulated, real)
         warnings += more
     which: tuple[OneSided, ...] | None = None
+    lacking = tuple[Cause, ...]()
     diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
     if faults or robot is None:
         warnings.append(_MEND_FIRST if faults else "without a ROBOT no effect can be named")
     elif torques:
         say("checking the log", 0, 1)
-        warnings += ask_first(robot, real, force=force).said
-        which, diagnoses = effects_of(robot, simulated, real, settings, say)
+        warnings += ask_first(robot, real, force=force).sentences
+        which, lacking, diagnoses = effects_of(robot, simulated, real, settings, say)
     say("done", 1, 1)
     record = PairRecord(
         robot=None if robot is None else robot.name,
@@ -179,6 +180,7 @@ def compare_pair(
         torque_noise=floor,
         faults=faults,
         which=which,
+        both=lacking,
         servos=servos,
         warnings=tuple(dict.fromkeys([*simulated.warnings, *real.warnings, *warnings])),
     )

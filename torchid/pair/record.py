@@ -1,10 +1,11 @@
-"""What a simulator's log and the arm's are told to differ by, as JSON has it: torchid.pair/1."""
+"""What a simulator's log and the arm's are told to differ by, as JSON has it: torchid.pair/2."""
 
 from typing import Annotated, Literal
 
 from msgspec import UNSET, UnsetType
 
 from torchid.gap.record import NoiseFloor, RegimeGap
+from torchid.results.cause import Cause
 from torchid.results.record import Col, Joint, Part, Real, Record, Rows
 from torchid.results.words import joints_words, regime_words
 
@@ -98,33 +99,17 @@ class Fault(Part, frozen=True):
         return ", ".join(filter(None, (self.side, joints)))
 
 
-class OneSided(Part, frozen=True):
-    """An effect that one of both has more of.
+class OneSided(Cause, frozen=True, kw_only=True):
+    """An effect that one of both has more of: a cause whose `parameters` are the arm's, and whose
+    `file` is what the simulator has of them, zero of none.
 
     Attributes:
-        effect: its name.
-        joints: where.
         more: which side has more of it.
         only: whether the other one has none.
-        simulator, arm: coefficients on either side, by name.
-        std: standard deviations of the arm's.
-        unit: of the coefficients.
-        share: of the gap that it closes.
-        how_sure: probability of it; None where none is known.
-        ambiguous_with: what it cannot be told from.
     """
 
-    effect: str
-    joints: tuple[Joint, ...]
     more: Side
     only: bool
-    simulator: dict[str, Real]
-    arm: dict[str, Real]
-    std: dict[str, Real]
-    unit: dict[str, str]
-    share: Real
-    how_sure: float | None
-    ambiguous_with: tuple[str, ...]
 
 
 class ServoDifference(Part, frozen=True):
@@ -132,7 +117,7 @@ class ServoDifference(Part, frozen=True):
 
     Attributes:
         joint: which.
-        parameter: of `torchid.simulation.servo.PARAMETERS`.
+        parameter: of `torchid.effects.servo.PARAMETERS`.
         unit: of the values.
         per_kp: whether the values are shares of the gain kp, because the logs leave a common factor
             of all torques open.
@@ -153,7 +138,7 @@ class ServoDifference(Part, frozen=True):
     differs: bool
 
 
-class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
+class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/2"):
     """A simulator's log against the arm's.
 
     Attributes:
@@ -166,6 +151,7 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
         faults: of the set-up, in the order in which to mend them.
         which: effects that one of both has more of, most of the gap first; None where it was not
             asked, for a reason that stands in the warnings.
+        both: effects that the robot's file lacks of either.
         servos: parameters of both sides' servos, from commands and positions; None where logs have
             torques, where no robot was given, or where the set-up comes first.
         warnings: sentences for the user.
@@ -181,6 +167,7 @@ class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/1"):
     torque_noise: NoiseFloor | None
     faults: tuple[Fault, ...]
     which: tuple[OneSided, ...] | None
+    both: tuple[Cause, ...] = ()
     servos: tuple[ServoDifference, ...] | None = None
     warnings: tuple[str, ...] = ()
     seed: int | UnsetType = UNSET

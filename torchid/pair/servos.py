@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import torch
 
+from torchid.effects.servo import INDEX, PARAMETERS, PER_KP, TORQUES, ServoParameter
 from torchid.log.model import Log
 from torchid.pair.record import ServoDifference
 from torchid.position.data import WINDOW_S
@@ -21,7 +22,6 @@ from torchid.position.fit import errors
 from torchid.position.judge import value_interval
 from torchid.position.problem import MOST_WINDOWS, some_of
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, ServoParameter
 from torchid.simulation.servo_loop import windows_of
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Tensor

@@ -82,7 +82,7 @@ class Store:
 
 
 def _answer(key: str, compute: Callable[[], Answer]) -> Answer:
-    """What is kept by key."""
+    """The answer that the store keeps by a key."""
     return compute()
 
 

@@ -8,13 +8,17 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import PLANE
 from torchid.parallel.pace import Pace
-from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
+from torchid.position.effects import BY_NAME, DELAY, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
+from torchid.position.evidence import LeastFall
 from torchid.position.file_servos import Followed, Worth, beside_file, weighing_otherwise
 from torchid.position.payload import Loaded, with_load
 from torchid.position.problem import Problem
 from torchid.position.record import error_words
 from torchid.position.search import (
+    PROFILE_STAGE,
+    STAGED,
     Rivals,
     SingleEffects,
     best_single_effect_per_joint,
@@ -31,9 +35,9 @@ from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Bool, Float
 
 SEVERAL = {
-    "gains, friction and delay": 2, "profile": 8, "stops": 0.4, "plane": 0.4, "clip": 0.4,
-    "speed": 0.4, "filter": 7, "integral action": 0.3, "dead zone": 0.3, "scale of commands": 2,
-    "all together": 10,
+    "gains, friction and delay": 2, PROFILE_STAGE: 8,
+    **{effect.name.replace("_", " "): 0.4 for effect in STAGED}, "command filter": 7,
+    "command gain": 2, "all together": 10,
 }  # fmt: skip
 """Stages of a search for several effects on one joint, with their shares of the time [1]."""
 ANCHORS = ("kp", "armature", "offset")
@@ -123,7 +127,7 @@ def best_answer(
     given, problem = problem, _weighing_as_log(problem)
     few, squares = problem.few, problem.squares
     begun, single, file = problem.simple, None, problem.file
-    first = begun if file is None else file.model
+    first = problem.plain if file is None else file.model
     early = None if watch is None else EarlyAnswer(watch, few, first, file is not None)
     others_than_core = "effects beside gains, friction and delay", "one effect at a time"
     if file is not None:
@@ -164,7 +168,7 @@ def best_answer(
     needed, worth_of_needed, rivals_of_needed = _needed(motions, model, squares)
     rivals |= {at: names for at, names in single.rivals.items() if bool(single.explained[at[1]])}
     # More windows move what has settled in few by little: one round, over three times as many.
-    model = needed.fitted(replace(problem.more, data=motions.data), 2, plane=True, profiles=True)
+    model = needed.fitted(replace(problem.more, data=motions.data), 2, plane=True)
     answered = Answered(
         motions, model, worth | worth_of_needed, rivals | rivals_of_needed,
         loaded if PAYLOAD.name in worth else None,
@@ -175,7 +179,8 @@ def best_answer(
     model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
     rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
     # What follows no better than the file's servos is no reason for others.
-    near = file.model.losses(motions) - model.losses(motions) < motions.slight
+    fall = file.model.losses(motions) - model.losses(motions)
+    near = fall < LeastFall.beside(motions, model.servos).of(1)
     model, by_file = model.joined(file.model, near), by_file | near
     for name in worth.keys() - {GRAVITY.name, PAYLOAD.name}:
         if BY_NAME[name].parameters:
@@ -229,7 +234,7 @@ def _beside_file_servos(
     effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
     single = best_single_effect_per_joint(few, fixed, early, effects).model
     freed = replace(single, free={**problem.simple.free, **single.free})
-    model = freed.fitted(few, 8, plane=True, profiles=True)
+    model = freed.fitted(few, 8, plane=True)
     # What came as near before the gains were refitted is no rival yet.
     return SingleEffects(model, model.losses(few) <= few.slight, {})
 
@@ -266,7 +271,9 @@ def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoM
     """The model with simple servos on the joints that these follow as well: a search may end where
     more parameters do no better."""
     before, after = (m.losses(motions) for m in (simple, model))
-    return model.joined(simple, before - after < motions.slight)
+    more = [on.double() - simple.where_free(name).double() for name, on in model.free.items()]
+    call = LeastFall.beside(motions, model.servos).of(torch.stack(more).sum(0).clamp(min=1.0))
+    return model.joined(simple, before - after < call)
 
 
 def _needed(
@@ -275,34 +282,35 @@ def _needed(
     """A model of the effects without which motion after motion is followed worse, all others
     refitted; losses without each and with it; and what stands for it as well."""
     whole, n = motions.losses(model.servos), model.servos.n
-    least, sample = motions.slight, motions.data.tracks.dt
+    least, usual = LeastFall.beside(motions, model.servos), motions.data.usual_delay
     without: dict[str, Float[Tensor, "W n"]] = {}
     needed: dict[str, Bool[Tensor, " n"]] = {}
     for effect in EFFECTS:
         has = model.where(effect)
         if not bool(has.any()):
             continue
-        less = model.without(effect, has, sample).fitted(motions, 2)
+        less = model.without(effect, has, usual).fitted(motions, 8)
         losses = motions.losses(less.servos)
-        gain, total, call = motions.each(losses - whole), losses.sum(0), least
+        gain, total = motions.each(losses - whole), losses.sum(0)
+        call = least.of(len(effect.parameters or PLANE))
         if not effect.parameters:  # a plane is there for all joints or for none
             gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
-            call = least.sum().expand(n)
+            call = call.sum().expand(n)
         often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)
         keep = has & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
-        if effect.name == "command_delay":
-            keep &= model.servos.of("delay") > sample
+        if effect is DELAY:
+            keep &= model.servos.of("delay") > usual
         without[effect.name], needed[effect.name] = losses, keep
     lean = model
     for name, keep in needed.items():
         needless = model.where(BY_NAME[name]) & ~keep
         # Delay and offset are numbers of any servo: they stay, unnamed.
         if name not in KEPT and bool(needless.any()):
-            lean = lean.without(BY_NAME[name], needless, sample)
+            lean = lean.without(BY_NAME[name], needless, usual)
     lean, rivals = lean.fitted(motions, 2), Rivals()
     left_by_lean = motions.losses(lean.servos)
     fall = (left_by_lean - whole).sum(0)
-    lost = (fall > squares * left_by_lean.sum(0)) & (fall > least)
+    lost = (fall > squares * left_by_lean.sum(0)) & (fall > least.of(1))
     # Effects that stood for each other: one of them returns, with the others' names.
     for j in torch.nonzero(lost).flatten().tolist():
         alike = [

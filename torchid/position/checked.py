@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchid.position.answered import Answered
 from torchid.position.data import WINDOW_S, PositionData
-from torchid.position.fit import errors
+from torchid.position.fit import VALLEYS, errors
 from torchid.position.judge import Equations, closed_share
 from torchid.position.problem import Problem
 from torchid.position.record import Accuracy
@@ -73,7 +73,7 @@ def check(answered: Answered, problem: Problem, known: Equations) -> Checked:
     data, own = problem.data, answered.motions.data
     by_log = problem.file is None or answered.by_file is not None
     models = [
-        (data, _without_folds(data, problem.simple, None, problem)),
+        (data, _without_folds(data, problem.plain, None, problem)),
         (own, _without_folds(own, answered.model, known, problem) if by_log else known.servos),
     ]
     if problem.file is not None:
@@ -109,7 +109,9 @@ def _without_folds(
         problem: the question.
     """
     few, folds = problem.few.windows, folds_of(len(data.tracks.first))
-    each = []
+    # Limits of set-points, over which no slope leads, stay.
+    free = {name: joints for name, joints in model.free.items() if name not in VALLEYS}
+    model, each = replace(model, free=free), []
     for fold in folds.unique().tolist():
         if known is None or model.plane:
             others = few.some(torch.nonzero(folds[few.motion] != fold).flatten())

@@ -7,6 +7,7 @@ from functools import cached_property
 import torch
 
 from torchid.dynamics.forward import gravity_torque
+from torchid.effects.servo import INDEX, PARAMETERS
 from torchid.errors import LogError
 from torchid.log.checks import (
     SLOW_STEP_S,
@@ -20,7 +21,6 @@ from torchid.log.stamps import check_increasing
 from torchid.position.rods import with_rods
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near, compensation
 from torchid.statistics.criteria import BODY_STD, SLIGHT_ERROR
 from torchid.typing import Bool, Float, Tensor
@@ -163,6 +163,12 @@ class PositionData:
         share = (parts * whole).sum(1) / square.clamp(min=1e-12)
         own = share.square().sum(0).sqrt().clamp(max=1.0)
         return BODY_STD * torch.where(square > 1e-9 * square.amax(), own, 1.0)
+
+    @property
+    def usual_delay(self) -> float:
+        """Delay [s] that is no cause: a command is held until the next one, half a sample late on
+        average, from some instant of the bus's cycle on, which no row of a log tells."""
+        return self.tracks.dt + 0.5 * self.held
 
     @property
     def outwards(self) -> Float[Tensor, "3"]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import torch
 
+from torchid.effects.servo import INDEX, PARAMETERS
 from torchid.log.model import Log
 from torchid.parallel.pace import Pace
 from torchid.position.answered import SEVERAL, Answered, as_the_file, best_answer
@@ -35,7 +36,7 @@ from torchid.position.untestable import not_testable
 from torchid.results.answer import Answer
 from torchid.results.cause import JudgedOn
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import windows_of
 from torchid.statistics.criteria import UNSURE_SCALE, WORTHWHILE
 from torchid.typing import Bool, Tensor
@@ -95,7 +96,7 @@ def diagnose_positions(
     answered, known, odd = _how_well_known(answered, problem)
     result = _described(answered, known, problem)
     if held_out is not None:
-        servos = (problem.simple if problem.file is None else problem.file.model).servos
+        servos = (problem.plain if problem.file is None else problem.file.model).servos
         given = replace(result.corrected, robot=problem.data.robot, servos=servos, std=None)
         before, after = (
             accuracy(arm, held_out, ~problem.data.still) for arm in (given, result.corrected)
@@ -213,15 +214,17 @@ def _ratios_alone(
     return unanchored | (std > UNSURE_SCALE), unanchored
 
 
-def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tuple[ServoArm, ...]:
+def refitted(
+    arm: ServoArm, data: PositionData, *allowed: Collection[str] | Servos
+) -> tuple[ServoArm, ...]:
     """The arm with servos that have some parameters alone, fitted to a log.
 
     Args:
         arm: whose servos may have more.
         data: of the same robot, from `prepare`.
-        allowed: of `torchid.simulation.servo.PARAMETERS`, the core's among them, once for each of
+        allowed: of `torchid.effects.servo.PARAMETERS`, the core's among them, once for each of
             the answers; others than the core's are free where the arm has them. A `plane` stays
-            where the arm has it, or goes.
+            where the arm has it, or goes. Or servos without what may not be.
     """
     motions = Motions(data, some_of(windows_of(data.tracks, WINDOW_S), MOST_WINDOWS))
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
@@ -232,10 +235,15 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
     neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
     simple, out = None, []
     for names in allowed:
-        free = {name: on for name, on in used.items() if name in names and bool(on.any())}
-        plane = arm.servos.plane * ("plane" in names)
-        kept = torch.tensor([p.name in names for p in PARAMETERS])
-        joint = torch.where(kept, arm.servos.joint, neutral)
+        if isinstance(names, Servos):
+            plane, joint = names.plane, names.joint
+            kept = (joint != neutral) | core
+        else:
+            plane = arm.servos.plane * ("plane" in names)
+            kept = torch.tensor([p.name in names for p in PARAMETERS]).expand(data.robot.n, -1)
+            joint = torch.where(kept, arm.servos.joint, neutral)
+        left = {name: on & kept[:, INDEX[name]] for name, on in used.items()}
+        free = {name: on for name, on in left.items() if bool(on.any())}
         # What is searched on a logarithmic scale begins at a number.
         least = 1e-6 * float(joint[:, INDEX["kp"]].max())
         begun = [torch.where(logs, joint.clamp(min=least), joint)]
@@ -244,7 +252,7 @@ def refitted(arm: ServoArm, data: PositionData, *allowed: Collection[str]) -> tu
             simple = simple or plain(motions)
             begun.append(torch.where(core, simple.servos.joint, joint))
         model = ServoModel(replace(arm.servos, plane=plane), free)
-        ends = [model.at(one).fitted(motions, 12, profiles=True) for one in begun]
+        ends = [model.at(one).fitted(motions, 12) for one in begun]
         best = torch.stack([end.losses(motions) for end in ends]).argmin(0)
         joint = torch.stack([end.servos.joint for end in ends])[best, torch.arange(data.robot.n)]
         out.append(replace(arm, robot=data.robot, servos=model.at(joint).servos, std=None))

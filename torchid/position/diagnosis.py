@@ -13,7 +13,7 @@ import torch
 from msgspec import UNSET, UnsetType
 
 from torchid.effects.registry import glosses
-from torchid.effects.servo import ServoEffect
+from torchid.effects.servo import INDEX, PARAMETERS, ServoEffect
 from torchid.position.data import PositionData
 from torchid.position.effects import experiment_of
 from torchid.position.judge import closed_share
@@ -48,7 +48,7 @@ from torchid.results.cause import LEFT_OUT, Cause, JudgedOn
 from torchid.results.record import Ends, Rows, by_joint
 from torchid.results.replication import agreement_of
 from torchid.robot.model import error_unit
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 from torchid.statistics.criteria import CLEAR_EXCESS, LIKELY, MOSTLY_EXPLAINED, UNLIKELY
 from torchid.typing import Bool, Float, Tensor
 
@@ -97,8 +97,8 @@ class PositionDiagnosis(Diagnosis):
             shares of kp (`kd/kp`), and those of `servos` are one choice of many.
         unanchored: those of them of which not even the file's masses or gains tell that factor.
         commanded: the position is the command.
-        plain_servo: one with gain, damping, dry friction, inertia, delay and offset, refitted to
-            the log and held out.
+        plain_servo: one with gain, damping, dry friction, inertia, offset and a usual delay,
+            refitted to the log and held out.
         answered: the answered model, held out.
         file: the servos of the robot's file as they are; None where it has none.
         regimes: by regime, (n,) whole-motion errors before (of `before`) and of the answered model,

@@ -5,19 +5,11 @@ from torchid.effects.servo import SERVO_KINDS, ServoEffect
 
 CORE = ("kp", "damping", "armature", "delay", "offset", "coulomb")
 """What every fit has: a gain, viscous and dry friction, an inertia, a delay and an offset."""
+KEPT_NUMBERS = ("delay", "offset")
+"""Of them those that are causes even where no file has others."""
 
-_FAMILIES = {
-    "torque_offset": "servo",
-    "viscous_friction": "friction",
-    "coulomb_friction": "friction",
-    "rotor_inertia": "inertia",
-    "stribeck_friction": "friction",
-    "load_dependent_friction": "friction",
-    "end_stop": "world",
-    "plane_contact": "world",
-    "payload": "inertia",
-}
-"""Families, in this answer, of the effects that add torque."""
+_FAMILIES = {"speed": "friction", "sign": "friction", "constant": "servo", "transient": "world"}
+"""Families, in this answer, of effects that add torque."""
 
 _OFFSET = (
     "A constant torque pulls at the joint: gravity that the model lacks, or a wrong zero.",
@@ -25,23 +17,16 @@ _OFFSET = (
 )
 """Meaning and remedy of a torque offset where no torque is measured."""
 
-_ORDER = (
-    "command_delay", "set_point_profile", "set_point_speed", "command_filter", "command_gain",
-    "derivative_gain", "integral_action", "saturation", "dead_zone", "torque_offset",
-    "stribeck_friction", "load_dependent_friction", "motor_dependent_friction", "end_stop",
-    "plane_contact",
-)  # fmt: skip
-
 
 def _effect(name: str) -> ServoEffect:
     """A cause as it shows itself under a servo."""
-    if name not in _FAMILIES:
+    if name in SERVO_KINDS:
         return SERVO_KINDS[name]
     kind = KINDS[name]
     meaning, remedy = _OFFSET if name == "torque_offset" else (kind.meaning, kind.remedy)
     return ServoEffect(
         name,
-        _FAMILIES[name],
+        _FAMILIES.get(kind.family, kind.family),
         kind.servo,
         meaning,
         remedy,
@@ -51,16 +36,19 @@ def _effect(name: str) -> ServoEffect:
     )
 
 
-EFFECTS = tuple(map(_effect, _ORDER))
 PAYLOAD, GRAVITY = _effect("payload"), _effect("gravity_compensation")
-"""Beside `EFFECTS`: not a servo's, but the robot's."""
-GAINS = tuple(
-    map(_effect, ("proportional_gain", "viscous_friction", "coulomb_friction", "rotor_inertia"))
-)
+"""Not a servo's, but the robot's."""
+_SERVOS = [
+    _effect(name) for name in (*SERVO_KINDS, *(k for k, kind in KINDS.items() if kind.servo))
+]
+GAINS = tuple(e for e in _SERVOS if e.parameters and {*e.parameters} <= {*CORE} - {*KEPT_NUMBERS})
 """Numbers that every servo has: causes where a file has others."""
+EFFECTS = (*(e for e in _SERVOS if e not in GAINS and e != GRAVITY), _effect("plane_contact"))
+"""What plain servos may lack."""
 BY_NAME = {effect.name: effect for effect in (*EFFECTS, *GAINS)}
-KEPT = ("command_delay", "torque_offset")
-"""What is part of every model, named or not."""
+DELAY = BY_NAME["command_delay"]
+KEPT = tuple(e.name for e in EFFECTS if {*e.parameters} & {*KEPT_NUMBERS})
+"""Effects that are part of every model, named or not."""
 
 
 def experiment_of(name: str) -> str:

@@ -12,17 +12,14 @@ from dataclasses import replace
 
 import torch
 
+from torchid.effects.servo import INDEX, PARAMETERS
 from torchid.position.fit import absolute, from_absolute
 from torchid.position.judge import Equations
-from torchid.simulation.servo import INDEX, PARAMETERS
 from torchid.statistics.criteria import SHEET_STD, UNIT_STD
 from torchid.statistics.random_effects import Sessions, means, spreads
 from torchid.typing import Bool, Tensor
 
-OF_TYPE = (
-    "kp", "kd", "integral", "damping", "armature", "delay", "coulomb", "stiction", "stribeck_speed",
-    "motor_share", "acceleration", "speed", "lag", "clip", "dead_zone",
-)  # fmt: skip
+OF_TYPE = tuple(p.name for p in PARAMETERS if p.of_type)
 """Parameters that a type of servo has; the others are the arm's, or a joint's calibration."""
 
 

@@ -23,15 +23,63 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from torchid.effects.servo import ServoEffect
+from torchid.effects.servo import INDEX, PARAMETERS, ServoEffect
 from torchid.position.effects import EFFECTS
-from torchid.position.fit import TOGETHER_S, prior_deviations, searched
-from torchid.position.judge import Equations
+from torchid.position.fit import TOGETHER_S, errors_of_one, loss, prior_deviations, searched
+from torchid.position.judge import Equations, alike_rows
 from torchid.position.servo_model import Motions
-from torchid.simulation.servo import INDEX, PARAMETERS
+from torchid.simulation.servo import Servos
 from torchid.statistics.bagging import Draws
 from torchid.statistics.evidence import most_sure, price_of, probabilities_of
 from torchid.typing import Float, Tensor
+
+
+def samples_of(
+    motions: Motions,
+    floor: Float[Tensor, " n"],
+    left: Float[Tensor, " n"],
+    alike: Float[Tensor, " n"],
+) -> Float[Tensor, " n"]:
+    """Rows (n,) that count where both kinds of noise are.
+
+    Args:
+        motions: whose windows are counted.
+        floor: losses that are known beforehand to be none of a servo's [rad^2].
+        left: losses that the better explanation leaves [rad^2].
+        alike: rows, one after the other, in which these are as good as one [1].
+    """
+    together = TOGETHER_S / motions.data.tracks.dt
+    times = (left * alike + floor * together) / (left + floor).clamp(min=1e-300)
+    return motions.windows.rows / times.clamp(min=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LeastFall:
+    """Fall of losses from which a cause is likelier than none, where servos explain the rest.
+
+    Attributes:
+        height: (n,) losses that these leave, with what is known to be none of a servo's [rad^2].
+        samples: (n,) that count.
+        price: of a cause [nats].
+    """
+
+    height: Float[Tensor, " n"]
+    samples: Float[Tensor, " n"]
+    price: float
+
+    @classmethod
+    def beside(cls, motions: Motions, servos: Servos) -> "LeastFall":
+        """Where these servos are the better explanation."""
+        residual, windows = errors_of_one(motions.data, servos, motions.windows), motions.windows
+        left = loss(residual[..., None], windows)[:, 0]
+        samples = samples_of(motions, motions.slight, left, alike_rows(residual, windows))
+        price = price_of(len(EFFECTS) * int((~motions.data.still).sum()))
+        return cls(left + motions.slight, samples.clamp(min=2.0), price)
+
+    def of(self, numbers: float | Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Of a cause with so many numbers [rad^2]: each costs as much as samples tell of it."""
+        paid = self.price + 0.5 * numbers * self.samples.log()
+        return self.height * (2 * paid / self.samples).expm1()
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +125,8 @@ class Evidence:
             for x in (without, with_it, self.noise.square(), self.known.alike, self.left)
         )
         rows = windows.length * windows.weight
-        floor = floor * rows.sum()
-        # Rows of both kinds of noise, as the better one leaves it.
-        left = after.sum(0)
-        together = TOGETHER_S / self.motions.data.tracks.dt
-        times = (left * alike + floor * together) / (left + floor).clamp(min=1e-300)
-        samples = rows.sum() / times.clamp(min=1.0)
+        floor, left = floor * rows.sum(), after.sum(0)
+        samples = samples_of(self.motions, floor, left, alike)
         # What acts at the ends of the travel alone is asked of the log as it is.
         draws = Draws.of(torch.arange(len(rows)))
         draws = draws.as_it_is if effect.family == "world" else draws

@@ -13,24 +13,25 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import ServoEffect
+from torchid.effects.servo import (
+    INDEX,
+    PARAMETERS,
+    PER_KP,
+    TORQUES,
+    ServoEffect,
+    ServoParameter,
+    as_share,
+)
 from torchid.position.data import PositionData
 from torchid.position.effects import EFFECTS, GAINS
+from torchid.position.evidence import LeastFall
 from torchid.position.judge import Equations
 from torchid.position.model import ServoArm
 from torchid.position.record import ChangeRecord
 from torchid.position.repeats import PositionNoise
 from torchid.position.search import Rivals
 from torchid.position.servo_model import Motions, ServoModel, mostly_better
-from torchid.simulation.servo import (
-    INDEX,
-    PARAMETERS,
-    PER_KP,
-    TORQUES,
-    ServoParameter,
-    Servos,
-    as_share,
-)
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import body_near, windows_of
 from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, TELLING_STD
 from torchid.typing import Bool, Float
@@ -128,8 +129,10 @@ def beside_file(
         # Where the gain is the file's, another one is no way to keep the file's number.
         without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
         needed = asked & _differs(motions, model, file, names)
-        needed &= _needed(motions, whole, without, squares)
-        either = needed & by_file & ~_needed(motions, whole, two, squares)
+        call = LeastFall.beside(motions, model.servos).of(len(effect.parameters))
+        least = torch.maximum(call, squares * without.sum(0))
+        needed &= _needed(motions, whole, without, least)
+        either = needed & by_file & ~_needed(motions, whole, two, least)
         for j in torch.nonzero(either).flatten().tolist():
             rivals[effect.name, j] = (GAINS[0].name,)
         if effect is GAINS[0]:
@@ -152,11 +155,12 @@ def _differs(
 
 
 def _needed(
-    motions: Motions, whole: Float[Tensor, "W n"], without: Float[Tensor, "W n"], squares: float
+    motions: Motions, whole: Float[Tensor, "W n"], without: Float[Tensor, "W n"], least: Tensor
 ) -> Bool[Tensor, " n"]:
-    """Joints that are followed worse without a number, on most motions."""
+    """Joints that are followed worse without a number, by at least so much (n,), on most
+    motions."""
     gain = motions.each(without - whole)
-    worse = (gain.sum(0) > squares * without.sum(0)) & (gain.sum(0) > motions.slight)
+    worse = gain.sum(0) > least
     return worse & mostly_better(gain)
 
 

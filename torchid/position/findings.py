@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import ServoEffect
+from torchid.effects.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, ServoEffect, as_share
 from torchid.position.answered import Answered
 from torchid.position.checked import Checked
 from torchid.position.diagnosis import Number, finding_of
@@ -20,7 +20,6 @@ from torchid.position.judge import Equations, value_interval
 from torchid.position.payload import Loaded
 from torchid.position.problem import Problem
 from torchid.position.record import PositionFinding
-from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, PLANE, TORQUES, as_share
 from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float
@@ -72,7 +71,7 @@ class _Naming:
         """An effect that all joints feel."""
         numbers: Sequence[Number] = ()
         if effect is PAYLOAD and self.answered.load is not None:
-            numbers = _load_sizes(self.answered.load)
+            numbers = _load_sizes(self.answered.load, float(self.known.torque_std.amax()))
         elif effect is not GRAVITY:
             values = zip(PLANE, self.answered.model.servos.plane.tolist(), strict=True)
             units, ends = {"stiffness": "N/m"}, (math.nan, math.nan)
@@ -172,15 +171,21 @@ def describe_findings(
     return tuple(sorted(out, key=lambda f: f.error_with - f.error_without))
 
 
-def _load_sizes(load: Loaded) -> tuple[Number, ...]:
-    """Mass and centre of a load. The mass goes with the servos' gains, by factors: its interval is
-    theirs, of a logarithm."""
+def _load_sizes(load: Loaded, unsure: float) -> tuple[Number, ...]:
+    """Mass and centre of a load.
+
+    Args:
+        load: whose mass is known beside the masses of the robot's file.
+        unsure: standard deviation of those, as a share [1].
+    """
+    below, above = (
+        math.exp(math.hypot(HALF_95 * unsure, math.log(end / load.mass))) for end in load.between
+    )
     half = (HALF_95 * load.std).tolist()
-    factor = math.exp(half[0] / load.mass)
-    mass = Number("mass", "kg", load.mass, (load.mass / factor, load.mass * factor))
+    mass = Number("mass", "kg", load.mass, (load.mass / below, load.mass * above))
     com = (
         Number(key, "m", value, (value - h, value + h))
-        for key, value, h in zip("xyz", load.com.tolist(), half[1:], strict=True)
+        for key, value, h in zip("xyz", load.com.tolist(), half, strict=True)
     )
     return (mass, *com)
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import INDEX, PARAMETERS, TORQUES
 from torchid.position.data import SMALL, PositionData
-from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import (
-    PROFILE,
     Windows,
     profiles_of,
     rollout,
@@ -24,8 +24,6 @@ from torchid.typing import Bool, Float
 
 LARGE = 0.03
 """Position error from which it counts less than its square [rad]."""
-LOOSE = 1.0
-"""Standard deviation of the prior of a logarithm about where the fit starts [1]."""
 TOGETHER_S = 1.0
 """Time for which errors are taken to be alike while servos are sought [s]; how well they are known
 then follows from what is left (`judge.alike_rows`)."""
@@ -41,13 +39,6 @@ HARDLY = 2e-3
 VALLEYS = ("acceleration", "speed", "lag")
 """Numbers of set-points: the loss of motions that chase their commands has many small valleys, over
 which no slope leads."""
-_PRIOR = {
-    "kp": 0.5, "armature": 0.5, "delay": 0.02, "offset": 0.2, "stiction": 0.1, "motor_share": 0.3,
-    "load_share": 0.3, "lag": 0.05, "dead_zone": 0.003, "stop_low": 0.05, "stop_high": 0.05,
-    "scale": 0.05,
-}  # fmt: skip
-"""Standard deviations of the other priors, torques beside those of a small servo."""
-_STEP = {"delay": 1e-3, "lag": 1e-3, "dead_zone": 5e-4, "scale": 2e-3}
 _PLANE_STEP = torch.tensor([3e-3, 3e-3, 3e-3, 2e-3, 1e2], dtype=torch.float64)
 
 
@@ -164,7 +155,7 @@ def sensitivities(
     sets, steps = [here], []
     for name in names:
         p = PARAMETERS[INDEX[name]]
-        step = _STEP.get(name, 0.02 if p.kind == "log" else 5e-3)
+        step = p.difference
         there = here.clone()
         there[:, INDEX[name]] += step
         sets.append(there)
@@ -202,7 +193,7 @@ def prior_precision(
 
 def prior_deviations(names: tuple[str, ...]) -> Float[Tensor, " K"]:
     """Standard deviations of searched coordinates that are expected before any motion is seen."""
-    return torch.tensor([_PRIOR.get(n, LOOSE) for n in names], dtype=torch.float64)
+    return torch.tensor([PARAMETERS[INDEX[name]].prior for name in names], dtype=torch.float64)
 
 
 def mean_square(residual: Tensor, w: Tensor, windows: Windows) -> Float[Tensor, " n"]:
@@ -217,7 +208,6 @@ def fit(
     windows: Windows,
     *,
     plane: bool = False,
-    profiles: bool = False,
     iterations: int = 8,
 ) -> Servos:
     """Servos that follow the log's windows best.
@@ -228,22 +218,17 @@ def fit(
         free: parameters to search, each with the joints (n,) on which it is free.
         windows: of the motions.
         plane: whether to search the plane's numbers too.
-        profiles: whether to search profiles too, in the last iteration: to find new set-points
-            takes longer than all the rest.
         iterations: of Gauss-Newton, at most; they end where no joint's loss falls much.
     """
     free = {name: joints for name, joints in free.items() if bool(joints.any())}
     if not plane and not free:
         return servos
+    names = tuple(free)
+    at = torch.tensor([INDEX[name] for name in names], dtype=torch.long)
+    mask = torch.stack([*free.values()], 1) if free else torch.zeros(servos.n, 0, dtype=torch.bool)
     origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
     plane_damping = 1e-2
-    for k in range(iterations):
-        last = k == iterations - 1
-        names = tuple(name for name in free if (profiles and last) or name not in PROFILE)
-        if not names and not plane:
-            continue
-        at = torch.tensor([INDEX[name] for name in names])
-        mask = torch.stack([free[name] for name in names], 1)
+    for _ in range(iterations):
         begun = origin[:, at]
         kinds = [PARAMETERS[i].kind for i in at.tolist()]
         logs, positive = (torch.tensor([p == kind for p in kinds]) for kind in ("log", "positive"))
@@ -287,7 +272,7 @@ def fit(
         damping = (damping * factors[best]).clamp(1e-6, 1e3)
         gain = float((1 - cost.amin(1) / cost[:, 0].clamp(min=1e-300)).max())
         plane_damping = max(1e-6, plane_damping * float(factors[better]))
-        if gain < HARDLY and not (profiles and not last):
+        if gain < HARDLY:
             break
     return servos
 

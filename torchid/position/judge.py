@@ -14,6 +14,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import INDEX, PARAMETERS, TORQUES
 from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
     LONGEST,
@@ -29,7 +30,7 @@ from torchid.position.fit import (
 )
 from torchid.results.agreement import MotionScale, Replication
 from torchid.results.replication import replication_of
-from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.criteria import TORQUE_MISFIT

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 import yaml
 
+from torchid.effects.servo import INDEX, NAMES
 from torchid.errors import TorchidError
 from torchid.files import atomic_write
 from torchid.robot.library import as_robot
@@ -16,7 +17,7 @@ from torchid.robot.model import Robot, RobotLike
 from torchid.robot.writer import robot_yaml
 from torchid.robot.yaml_file import read_yaml
 from torchid.robot.yaml_values import parsed_yaml
-from torchid.simulation.servo import INDEX, NAMES, Servos
+from torchid.simulation.servo import Servos
 from torchid.tensors import as_tensor
 from torchid.typing import Float, Tensor
 
@@ -60,7 +61,7 @@ class ServoArm:
 
         Args:
             robot: with inertial parameters.
-            values: of `torchid.simulation.servo.PARAMETERS` by name, as kp [N m/rad]: one of all
+            values: of `torchid.effects.servo.PARAMETERS` by name, as kp [N m/rad]: one of all
                 joints, or n; those that are not given have no effect.
 
         Raises:

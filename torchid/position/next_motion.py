@@ -16,6 +16,7 @@ import msgspec
 import torch
 from msgspec import UNSET, UnsetType
 
+from torchid.effects.servo import INDEX, PARAMETERS, as_share
 from torchid.errors import RobotError, TorchidError
 from torchid.excitation.clearance import Clearance
 from torchid.excitation.limits import position_limits
@@ -35,7 +36,7 @@ from torchid.position.rods import with_rods
 from torchid.results.files import read_as
 from torchid.results.record import Col, Joint, Part, Real, Record, Rows
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, PARAMETERS, Servos, as_share
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import windows_of
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor

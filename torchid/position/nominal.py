@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from torchid.effects.servo import INDEX, NAMES, PARAMETERS
 from torchid.errors import TorchidError
 from torchid.position.model import ServoArm
 from torchid.position.record import NominalRecord
 from torchid.results.words import unit_behind
 from torchid.robot.model import Robot
 from torchid.robot.yaml_values import parsed_yaml
-from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -41,7 +42,7 @@ class NominalServo:
 
     Attributes:
         name: of the preset; `servo` without one.
-        values: by name of `torchid.simulation.servo.PARAMETERS`, in their units.
+        values: by name of `torchid.effects.servo.PARAMETERS`, in their units.
         counts: of its encoder in one turn.
         units: how much of a parameter one step of its register is, by the parameter's name.
         gain_unit: kp that one step of the register of the proportional gain makes [N m/rad].
@@ -99,7 +100,7 @@ def read_servos(text: str, n: int) -> tuple[NominalServo, ...]:
 
     Joints with one preset are taken for units of one type; `type=left kp=12` names a type without a
     preset. `gain` is the register of the proportional gain; other names are those of
-    `torchid.simulation.servo.PARAMETERS`, in their units, and `counts` a turn.
+    `torchid.effects.servo.PARAMETERS`, in their units, and `counts` a turn.
 
     Args:
         text: as above.

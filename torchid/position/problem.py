@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
+from torchid.position.effects import DELAY
 from torchid.position.file_servos import Followed, follows
 from torchid.position.fit import errors_of_one
 from torchid.position.model import ServoArm
@@ -38,7 +39,7 @@ class Problem:
     Attributes:
         data: motions, of the robot as given.
         few, more: motions as a search, and the last fit, look at them.
-        simple: plain servos, fitted to as many.
+        simple: plain servos with any delay, fitted to as many, where a search begins.
         start: the arm that the robot's file describes; None where it has no servos.
         squares: share of the squared error by which an effect must lower it to be named.
         warnings: about the log, one sentence each.
@@ -62,6 +63,15 @@ class Problem:
     def noise(self) -> PositionNoise:
         """What no servo closes, where repeats tell it."""
         return noise_of_repeats(self.data, self.simple.servos)
+
+    @cached_property
+    def plain(self) -> ServoModel:
+        """Plain servos that are no later than is usual: what named causes are held against."""
+        usual = self.data.usual_delay
+        late = self.simple.servos.of("delay") > usual
+        if not bool(late.any()):
+            return self.simple
+        return self.simple.without(DELAY, late, usual).fitted(self.few, 8)
 
     @cached_property
     def file(self) -> Followed | None:

@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import ServoEffect
+from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoEffect, ServoMotion
 from torchid.position.data import PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
 from torchid.position.fit import VALLEYS
 from torchid.position.servo_model import Motions, ServoModel
-from torchid.simulation.servo import INDEX, PARAMETERS, TORQUES, Servos
-from torchid.simulation.servo_loop import PROFILE
+from torchid.simulation.servo import Servos
 from torchid.statistics.criteria import ALIKE_LOSS
 from torchid.typing import Bool, Float
 
@@ -52,10 +51,19 @@ _SCANS = (
     (0.9, 0.95, 1.0, 1.05, 1.1, 1.15),
     (0.96, 0.98, 0.99, 1.0, 1.01, 1.02, 1.04),
 )
+_NEAR = (0.92, 0.97, 0.99, 1.0, 1.01, 1.03, 1.08)
+_ABOUT = dict.fromkeys(VALLEYS, _NEAR) | {"stribeck_speed": (0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.5)}
+"""Factors on what has many small valleys, or one that is long and curved, by name."""
 _QUANTILES = (5e-4, 5e-3, 2e-2)
-_STOP_INSIDE = (0.0, 0.004, 0.01)
-_FAR, _AT_STOP = 0.9, (0.1, 0.5)
 
+PROFILE_STAGE = "set point profile"
+STAGED = tuple(
+    effect
+    for effect in sorted(EFFECTS, key=lambda effect: effect.family != "world")
+    if effect.has_sizes or effect.name in ("plane_contact", "command_filter")
+)
+"""Effects that are begun at a finite size beside all that has a slope, one after the other: what
+surrounds the arm first."""
 BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect.name not in KEPT)
 """What plain servos do not have."""
 Rivals = dict[tuple[str, int | None], tuple[str, ...]]
@@ -83,22 +91,18 @@ def full(motions: Motions, say: Callable[[str], None] = lambda _: None) -> Servo
     names = (*CORE, *SMOOTH)
     begun = ServoModel(_start(motions.data, names), dict.fromkeys(names, motions.every))
     model = _geared(motions.data, begun).fitted(motions, 5)
-    say("profile")
+    say(PROFILE_STAGE)
     model = _scanned(motions, _with_profile(motions, model))
-    for stage, more in (
-        ("stops", ("stop_low", "stop_high")), ("plane", ("plane",)), ("clip", ("clip",)),
-        ("speed", ("speed",)), ("filter", ("lag",)), ("integral action", ("integral",)),
-        ("dead zone", ("dead_zone",)), ("scale of commands", ("scale",)),
-    ):  # fmt: skip
-        say(stage)
-        for name in more:
-            if name in _SIZES:
+    for effect in STAGED:
+        say(effect.name.replace("_", " "))
+        if effect.has_sizes:
+            for name in effect.parameters:
                 model = _with_size(motions, model, name)
-            else:
-                model = {"lag": _with_filter, "plane": _with_plane}[name](motions, model)
+        else:
+            model = (_with_filter if effect.parameters else _with_plane)(motions, model)
     model = _scanned(motions, model)
     say("all together")
-    return model.fitted(motions, 4, plane=True, profiles=True)
+    return model.fitted(motions, 4, plane=True)
 
 
 def _start(data: PositionData, names: Sequence[str]) -> Servos:
@@ -125,17 +129,34 @@ def _geared(data: PositionData, model: ServoModel) -> ServoModel:
 
 
 def settled(motions: Motions, model: ServoModel) -> ServoModel:
-    """A model fitted until no joint gains: the numbers of set-points move once a round, for every
-    step of theirs simulates the commands' way anew, and are looked for beyond their valleys."""
+    """A model fitted until no joint gains, and beyond the valleys of what makes set-points where a
+    joint that has such a number calls for a cause yet."""
     before = model.losses(motions)
-    for _ in range(ROUNDS):
-        near = _scanned(motions, model, _SCANS[1:])
-        model = near.fitted(motions, 3, plane=True, profiles=True)
+    for turn in range(ROUNDS):
+        for name in _ABOUT if turn == 0 else ():
+            if bool((model.where_free(name) & (before > motions.slight)).any()):
+                model = _beyond_valleys(motions, model, name)
+        model = model.fitted(motions, 3, plane=True)
         after = model.losses(motions)
         if bool((after > (1 - SETTLED) * before).all()):
             break
         before = after
     return model
+
+
+def _beyond_valleys(motions: Motions, model: ServoModel, name: str) -> ServoModel:
+    """With one number where it is best of some about it, all others giving way: delay, damping and
+    inertia make up for most of a change of what makes set-points."""
+    k, on = INDEX[name], model.where_free(name)
+    held = {other: joints for other, joints in model.free.items() if other != name}
+    ends = []
+    for factor in _ABOUT[name]:
+        values = model.servos.joint.clone()
+        values[on, k] *= factor
+        ends.append(replace(model.at(values), free=held).fitted(motions, 2, plane=True))
+    losses = torch.stack([end.losses(motions) for end in ends])
+    sets = replace(model.servos, joint=torch.stack([end.servos.joint for end in ends]))
+    return _of_sets(model, sets, losses.argmin(0), on)
 
 
 def _falls(motions: Motions, before: Tensor, after: Tensor) -> Bool[Tensor, " n"]:
@@ -162,7 +183,9 @@ def _with_size(
 ) -> ServoModel:
     """With a parameter on the joints whose loss falls with one of some values, refitted around
     them; or, if not `sure`, on all of them, for the others may have to give way first."""
-    values = _SIZES[name](motions.data, model.servos)
+    data, of = motions.data, PARAMETERS[INDEX[name]]
+    assert of.sizes is not None
+    values = of.sizes(ServoMotion(data.tracks.u, data.q, data.dq, model.servos.of("kp")))
     sets = _sets(model.servos, 1 + len(values))
     sets.joint[1:, :, INDEX[name]] = values
     if name == "scale" and "offset" in model.free:
@@ -175,7 +198,7 @@ def _with_size(
     if not bool(joints.any()):
         return model
     grown = _of_sets(model, sets, 1 + best, joints).freed([name], joints)
-    return grown.fitted(motions, iterations, plane=True, profiles=name in PROFILE)
+    return grown.fitted(motions, iterations, plane=True)
 
 
 def _with_profile(motions: Motions, model: ServoModel) -> ServoModel:
@@ -198,7 +221,7 @@ def _with_profile(motions: Motions, model: ServoModel) -> ServoModel:
         first = motions.losses_of_sets(sets).argmin(1)
         # The other parameters give way first, which costs no new set-points.
         others = _of_sets(begun, sets, first, every).fitted(motions, 2)
-        limited = others.freed(["acceleration"], every).fitted(motions, 1, profiles=True)
+        limited = others.freed(["acceleration"], every).fitted(motions, 1)
         after = limited.losses(motions)
         # Joints that are not better with it stay as they were.
         joints = _falls(motions, before, after)
@@ -225,7 +248,7 @@ def _with_filter(motions: Motions, model: ServoModel) -> ServoModel:
     if not bool(joints.any()):
         return model
     filtered = _of_sets(model, sets, best, joints).freed(["lag"], joints)
-    return filtered.fitted(motions, 3, plane=True, profiles=True)
+    return filtered.fitted(motions, 3, plane=True)
 
 
 def _scanned(
@@ -265,45 +288,6 @@ def _with_plane(motions: Motions, model: ServoModel) -> ServoModel:
         return model
     touching = replace(model.servos, plane=sets.plane[best].clone())
     return ServoModel(touching, model.free, True).fitted(motions, 6, plane=True)
-
-
-def _held(q: Float[Tensor, "T n"], u: Float[Tensor, "T n"]) -> Float[Tensor, "V n"]:
-    """Positions of joints while their commands are farthest beyond them: of a soft stop a little
-    more than where it begins."""
-    beyond = u - q
-    far = beyond >= beyond.quantile(_FAR, 0)
-    return q.masked_fill(~far, torch.nan).nanquantile(torch.tensor(_AT_STOP, dtype=q.dtype), 0)
-
-
-def _shares(*shares: float) -> Tensor:
-    return torch.tensor(shares, dtype=torch.float64)[:, None]
-
-
-_SIZES: dict[str, Callable[[PositionData, Servos], Tensor]] = {
-    # End stops about where the joints came to their lowest and highest positions, or are while
-    # their commands are far beyond.
-    "stop_low": lambda data, servos: torch.cat(
-        [data.q.amin(0) + _shares(*_STOP_INSIDE), -_held(-data.q, -data.tracks.u)]
-    ),
-    "stop_high": lambda data, servos: torch.cat(
-        [data.q.amax(0) - _shares(*_STOP_INSIDE), _held(data.q, data.tracks.u)]
-    ),
-    # Of the torque that the largest position errors would make, which of stiff servos is many times
-    # their limit.
-    "clip": lambda data, servos: (
-        _shares(0.04, 0.1, 0.2, 0.4, 0.6, 0.8)
-        * (data.tracks.u - data.q).abs().quantile(0.999, 0)
-        * servos.of("kp")
-    ),
-    "speed": lambda data, servos: (
-        _shares(0.4, 0.55, 0.7, 0.85, 1.0) * data.dq.abs().quantile(0.9999, 0).clamp(min=0.1)
-    ),
-    # Beside kp, in 1/s.
-    "integral": lambda data, servos: _shares(0.1, 0.5, 2.0) * servos.of("kp"),
-    "dead_zone": lambda data, servos: _shares(0.0015, 0.004).expand(-1, servos.n),
-    "scale": lambda data, servos: _shares(0.9, 0.97, 1.03, 1.1).expand(-1, servos.n),
-}
-"""(V, n) values to try of what has no slope where it does not act."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,8 +333,10 @@ def best_single_effect_per_joint(
     has_one = ~motions.every
     for _, joint in rivals:
         has_one[joint] = True
+    if "kp" in simple.free:  # servos of a file begin where the file has them
+        single = with_usual_effects(motions, single)
     # Joints feel each other's set-points: all of them are best before one is judged.
-    if any(name in single.free for name in VALLEYS):
+    if any(name in single.free for name in _ABOUT):
         single = settled(motions, single)
     losses = single.losses(motions)
     # Where one effect is nearly enough, the fit is brought to its end before that is judged.
@@ -358,7 +344,7 @@ def best_single_effect_per_joint(
     if bool(near.any()):
         single = single.fitted(motions, 15, joints=near, plane=True)
         losses = single.losses(motions)
-    return SingleEffects(single, losses <= least, rivals)
+    return SingleEffects(single, losses <= least, _alike_at_the_end(motions, single, tried, rivals))
 
 
 def _each_beside_plain(
@@ -372,8 +358,7 @@ def _each_beside_plain(
     calm = _calm(motions, simple, before > NEARLY_EXPLAINED * least)
     tried: Tried = {}
     for effect in effects:
-        limit = bool(effect.parameters) and effect.parameters[0] in _SIZES
-        model = _beside_plain(motions, calm if limit else simple, effect)
+        model = _beside_plain(motions, calm if effect.has_sizes else simple, effect)
         tried[effect.name] = model, model.losses(motions)
         if watch is not None:
             watch(effect.name, tried[effect.name][1])
@@ -434,6 +419,24 @@ def _with_best_effects(
     return model, rivals
 
 
+def _alike_at_the_end(motions: Motions, single: ServoModel, tried: Tried, rivals: Rivals) -> Rivals:
+    """What does as well in an effect's place beside what the other joints have at the end, where
+    the effect leaves much less there than when it was tried."""
+    losses, out = single.losses(motions), dict(rivals)
+    for (name, j), others in rivals.items():
+        if tried[name][1][j] < ALIKE_LOSS * losses[j]:
+            continue
+        here = motions.every & (torch.arange(single.servos.n) == j)
+        instead = (
+            single.joined(tried[other][0], here).fitted(motions, 4, joints=here) for other in others
+        )
+        left = [float(model.losses(motions)[j]) for model in instead]
+        out[name, j] = tuple(
+            other for other, loss in zip(others, left, strict=True) if loss < ALIKE_LOSS * losses[j]
+        )
+    return out
+
+
 def _calm(motions: Motions, simple: ServoModel, far: Bool[Tensor, " n"]) -> ServoModel:
     """Plain servos as the calmer half of the windows tells them, on the joints where much is left.
 
@@ -450,27 +453,30 @@ def _calm(motions: Motions, simple: ServoModel, far: Bool[Tensor, " n"]) -> Serv
 
 
 def with_usual_effects(motions: Motions, model: ServoModel) -> ServoModel:
-    """What more than half of the joints have, tried on the others at the size that is usual there:
-    the servos of an arm are mostly of one make."""
+    """What more than half of the joints have, tried at the size that is usual there on joints that
+    lack it, or err with it: the servos of an arm are mostly of one make."""
     for effect in EFFECTS:
         has = model.where(effect)
         few = 2 * int(has.sum()) <= len(has)
-        if effect.name in KEPT or not effect.parameters or few or bool(has.all()):
+        if effect.name in KEPT or not effect.parameters or few:
+            continue
+        before = model.losses(motions)
+        others = ~has | (before > motions.slight)
+        if not bool(others.any()):
             continue
         # The others begin where a search does: their numbers have made up for what they lack.
-        values = torch.where(has[:, None], model.servos.joint, _start(motions.data, CORE).joint)
+        values = torch.where(others[:, None], _start(motions.data, CORE).joint, model.servos.joint)
         for name in effect.parameters:
-            k, unit = INDEX[name], torch.ones_like(values)
+            k, unit = INDEX[name], torch.ones_like(before)
             if name in TORQUES:  # beside kp
-                unit = values[:, INDEX["kp"], None]
-            values[~has, k] = (values[has, k] / unit[has, 0]).median() * unit[~has, 0]
-        free = {name: there & ~has for name, there in model.free.items()}
-        free |= dict.fromkeys((*CORE, *effect.parameters), ~has)
-        profiles = any(name in PROFILE for name in effect.parameters)
-        begun = replace(model.at(values), free=free).fitted(motions, 6)
-        tried = begun.fitted(motions, 1, profiles=profiles)
-        before, after = (m.losses(motions) for m in (model, tried))
-        model = model.joined(tried, ~has & _falls(motions, before, after))
+                unit = model.servos.of("kp")
+            usual = (model.servos.of(name) / unit)[has].median()
+            values[others, k] = usual * torch.where(unit == 1, unit, values[:, INDEX["kp"]])[others]
+        free = {name: there & ~others for name, there in model.free.items()}
+        free |= dict.fromkeys((*CORE, *effect.parameters), others)
+        tried = replace(model.at(values), free=free).fitted(motions, 7)
+        after = tried.losses(motions)
+        model = model.joined(tried, others & _falls(motions, before, after))
     return model
 
 
@@ -488,8 +494,8 @@ def _beside_plain(motions: Motions, simple: ServoModel, effect: ServoEffect) -> 
         begun = simple.at(
             torch.where(far[:, None], _start(motions.data, CORE).joint, simple.servos.joint)
         )
-        model = _geared(motions.data, begun).fitted(motions, 12, profiles=True)
-    if effect.parameters[0] in _SIZES:
+        model = _geared(motions.data, begun).fitted(motions, 12)
+    if effect.has_sizes:
         for name in effect.parameters:
             # Of two stops each where it helps: both at once would hold the joint.
             only = len(effect.parameters) == 1

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import ServoEffect
+from torchid.effects.servo import INDEX, NAMES, PARAMETERS, ServoEffect
 from torchid.position.data import PositionData
 from torchid.position.effects import EFFECTS, KEPT
 from torchid.position.fit import errors, errors_of_one, fit, huber, loss
-from torchid.simulation.servo import INDEX, NAMES, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import Windows
 from torchid.statistics.criteria import MOST_MOTIONS
 from torchid.typing import Bool, Float
@@ -107,9 +107,9 @@ class ServoModel:
         return replace(self.at(values), free={**self.free, **free})
 
     def without(
-        self, effect: ServoEffect, joints: Bool[Tensor, " n"], sample: float
+        self, effect: ServoEffect, joints: Bool[Tensor, " n"], usual_delay: float
     ) -> "ServoModel":
-        """It without an effect on some joints; of a delay without what is beyond a sample [s]."""
+        """It without an effect on some joints; of a delay without what is not usual [s]."""
         if not effect.parameters:
             plane = self.servos.plane.clone()
             plane[4] = 0.0
@@ -117,10 +117,7 @@ class ServoModel:
         values = self.servos.joint.clone()
         for name in effect.parameters:
             k = INDEX[name]
-            # A command that is held until the next one, from some instant of the bus's cycle on, is
-            # late by less than a sample: that is no cause, and no row of a log tells it from
-            # another.
-            late = values[joints, k].clamp(max=sample)
+            late = values[joints, k].clamp(max=usual_delay)
             values[joints, k] = late if name == "delay" else PARAMETERS[k].neutral
         free = {
             name: on & ~joints if name in effect.parameters else on
@@ -136,16 +133,15 @@ class ServoModel:
         *,
         joints: Bool[Tensor, " n"] | None = None,
         plane: bool = False,
-        profiles: bool = False,
     ) -> "ServoModel":
-        """It fitted to motions, on some joints alone if asked; the plane's numbers and set-points'
-        too if asked (`fit.fit`)."""
+        """It fitted to motions, on some joints alone if asked; the plane's numbers too if
+        asked (`fit.fit`)."""
         free = self.free
         if joints is not None:
             free = {name: on & joints for name, on in free.items()}
         servos = fit(
             motions.data, self.servos, free, motions.windows,
-            plane=plane and self.plane, profiles=profiles, iterations=iterations,
+            plane=plane and self.plane, iterations=iterations,
         )  # fmt: skip
         return replace(self, servos=servos)
 

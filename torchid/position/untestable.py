@@ -4,20 +4,16 @@ from dataclasses import replace
 
 import torch
 
+from torchid.effects.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 from torchid.position.effects import EFFECTS
 from torchid.position.fit import errors, sensitivities, weights
 from torchid.position.judge import Equations
 from torchid.position.servo_model import Motions
 from torchid.results.answer import NotTestable
-from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 from torchid.typing import Bool, Tensor
 
-USUAL = {
-    "kd": 0.03, "integral": 0.5, "stiction": 0.01, "dead_zone": 0.005, "scale": 0.05, "lag": 0.02,
-    "motor_share": 0.1, "load_share": 0.1,
-}  # fmt: skip
-"""Sizes that servos have, torques as shares of kp. What acts only beyond a limit is none of them: a
-log that does not come there says nothing of it."""
+USUAL = {p.name: p.usual for p in PARAMETERS if p.usual is not None}
+"""Sizes that servos have, torques as shares of kp."""
 
 
 def not_testable(

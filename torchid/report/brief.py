@@ -14,8 +14,8 @@ from rich.text import Text
 
 from torchid.errors import visible
 from torchid.report.cautions import cautions
-from torchid.report.page.answer import first_steps
-from torchid.results.answer import UNCHANGED, Answer, JointRow, cause_cells, ordered
+from torchid.report.page.answer import NAMED, first_steps, no_own_cause
+from torchid.results.answer import Answer, JointRow, cause_cells, ordered
 from torchid.results.cause import Cause
 from torchid.results.words import count, digits, listed, span, sure
 from torchid.statistics.criteria import EXCESS
@@ -24,13 +24,9 @@ MOST_LINES = 23
 """Of the screen; with the prompt's command and the files' line they are 25."""
 MOST_JOINTS = 8
 """That have a row."""
-NAMED = 2
-"""Causes of a joint beyond those listed that are still named."""
 CAUTION_LINES = 3
 WIDE = 100
 """Columns from which noise and bars are shown."""
-BAR = 8
-"""Characters of the longest bar."""
 NAME = 18
 """Characters of a joint's name."""
 
@@ -134,30 +130,16 @@ class Screen:
         return table
 
     def _cells(self, row: JointRow, detail: Detail, width: int) -> list[str]:
-        """Of the row of a joint."""
-        error, label = row.error, short_label(row.label, NAME)
+        """Cells of the row of a joint."""
+        answer, error, label = self.answer, row.error, short_label(row.label, NAME)
         if row.never_moves:
             return [label, "never moves"]
         cells = [label, f"{digits(error.before)} -> {digits(error.after)}"]
         if width >= WIDE:
-            longest = max(j.before for j in self.answer.joints if not j.still)
+            longest = max(j.before for j in answer.joints if not j.still)
             cells += [span(error.noise, 2), bar(error.before, error.after, longest)]
-        return [*cells, "; ".join(_causes(row, detail)) or self._hint(row, detail)]
-
-    def _hint(self, row: JointRow, detail: Detail) -> str:
-        """What would lower the error of a joint without a cause of its own."""
-        if may := _may(row, detail):
-            return may
-        joint, error = row.error.joint, row.error
-        shared = (same[0] for same in self.answer.shared() if _acts(same, joint))
-        names = list(dict.fromkeys(c.name for c in shared))
-        if names and error.after < UNCHANGED * error.before:
-            return f"{listed(names, most=NAMED)} (below)"
-        if self.answer.status == "searching":
-            return "not explained so far"
-        if error.after <= max(error.noise):
-            return "noise"
-        return "no cause found" + ("; may be noise" if math.isnan(error.noise[1]) else "")
+        said = "; ".join(_causes(row, detail)) or _may(row, detail) or no_own_cause(row, answer)
+        return [*cells, said]
 
 
 def _causes(row: JointRow, detail: Detail) -> list[str]:
@@ -170,13 +152,6 @@ def _causes(row: JointRow, detail: Detail) -> list[str]:
     elif causes and detail.causes > len(causes) and (may := _may(row, detail)):
         texts.append(may)
     return texts
-
-
-def _acts(same: Sequence[Cause], joint: int) -> bool:
-    """Whether causes of one name lower the error of a joint."""
-    if same[0].removes:
-        return sum(c.removes[joint] for c in same) > 0
-    return any(joint in c.at or not c.at for c in same)
 
 
 def _may(row: JointRow, detail: Detail) -> str:
@@ -198,8 +173,10 @@ def _bracket(how_sure: str) -> str:
 
 def bar(before: float, after: float, longest: float) -> str:
     """`██░░░░░░`: what is left, and what the causes removed, on one scale."""
-    whole = round(BAR * before / longest) if longest > 0 else 0
-    left = min(whole, round(BAR * after / longest) if longest > 0 else 0)
+    # Characters of the longest bar
+    bar_letters = 8
+    whole = round(bar_letters * before / longest) if longest > 0 else 0
+    left = min(whole, round(bar_letters * after / longest) if longest > 0 else 0)
     return "█" * left + "░" * (whole - left)
 
 
@@ -226,7 +203,7 @@ def caution_lines(warnings: Sequence[str], width: int) -> Iterator[Text]:
         yield Text.assemble(("! ", "yellow"), visible(text))
     if shown < len(every):
         more = count(len(every) - shown, "more caution")
-        yield Text(f"! {more}: --verbose, or torchid explain")
+        yield Text(f"! {more}: --verbose, or `torchid explain` of the JSON")
 
 
 def model_words(answer: Answer, model: str | None, given: str) -> str:

@@ -11,12 +11,11 @@ from typing import Any, get_args
 import torch
 
 from torchid.dynamics.newton_euler import inverse_dynamics
-from torchid.effects.base import Abscissa, Effect, Family, ModelEffect, Motion
+from torchid.effects.base import Abscissa, Effect, Family, Motion
 from torchid.effects.parameters import Scale
 from torchid.effects.registry import KINDS, not_fitted
 from torchid.effects.rivals import ALIKE, Rival, aged, rivals
 from torchid.effects.servo import SERVO_KINDS, ServoEffect
-from torchid.effects.variation import JointPairEffect, OneJointEffect
 from torchid.excitation.trajectories import random_trajectory
 from torchid.files import write_text
 from torchid.json_data import picked
@@ -48,8 +47,6 @@ _SCALES: dict[Scale, str] = {
 SEED, SECONDS, RATE, CUTOFF = 1, 20.0, 25.0, 8.0
 """The motion that effects are compared along: its seed, duration [s], samples [Hz], band [Hz]."""
 
-MOST_RIVALS = 4
-"""Of an effect on the page."""
 _HEAD = """# The effects
 
 What besides the rigid body can make an arm's torque differ from a simulator's: {count} effects in
@@ -100,14 +97,15 @@ def picture_name(family: Family) -> str:
 
 def effect_text(kind: type[Effect], brief: bool = False) -> str:
     """One effect in Markdown; briefly without sources, and what holds for most effects."""
+    # 4: of an effect on the page
     alike = (
         f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
-        for r in known_rivals(kind)[: MOST_RIVALS if brief else None]
+        for r in known_rivals(kind)[: 4 if brief else None]
     )
     fitted = "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
     facts = (
-        ("place", _place(kind), "one joint (`joint`)"),
-        ("logs", " and ".join(logs_of(kind)), "torque"),
+        ("place", kind.where, "one joint (`joint`)"),
+        ("logs", " and ".join(kind.logs()), "torque"),
         ("fitted by", fitted, "`identify` and `gap`"),
     )
     lines = [
@@ -148,13 +146,6 @@ def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[
     return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
 
 
-def logs_of(kind: type[Effect] | ServoEffect) -> tuple[str, ...]:
-    """Which logs can show an effect: of torques, of commands and positions, or both."""
-    if isinstance(kind, ServoEffect):
-        return ("positions",)
-    return ("torque", "positions") if kind.positions else ("torque",)
-
-
 def effects_table() -> Table:
     """All effects by name, family, coefficients, logs that can show them, and meaning."""
     rows = []
@@ -165,7 +156,7 @@ def effects_table() -> Table:
         else:
             names = [c.name for c in kind.coefficients]
         numbers = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
-        rows.append((kind.name, kind.family, numbers, " ".join(logs_of(kind)), kind.meaning))
+        rows.append((kind.name, kind.family, numbers, " ".join(kind.logs()), kind.meaning))
     columns = ("effect", "family", "numbers", "logs", "what it is")
     return Table(f"{len(rows)} effects", columns, rows, "ppppp")
 
@@ -188,7 +179,7 @@ def effect_record(kind: type[Effect] | ServoEffect) -> dict[str, Any]:
     return {
         **picked(kind, "effect=name family meaning equation"), **numbers,
         "signature": signature, "confused_with": rivals, **picked(kind, "experiment remedy"),
-        "source": source, "logs": list(logs_of(kind)),
+        "source": source, "logs": list(kind.logs()),
     }  # fmt: skip
 
 
@@ -223,14 +214,6 @@ def _coefficients(kind: type[Effect]) -> Iterator[str]:
         least, most = ("0 to " if first.non_negative else "up to ±"), first.largest
         bounds = f", {least}{most:g}" if most < math.inf else ", ≥ 0" * first.non_negative
         yield f"- {names} [{first.unit}]{bounds}: {meaning}"
-
-
-def _place(kind: type[Effect]) -> str:
-    if issubclass(kind, JointPairEffect):
-        return "a pair of joints (`joint`, `source_joint`)"
-    if issubclass(kind, ModelEffect) and not issubclass(kind, OneJointEffect):
-        return "the whole arm"
-    return "one joint (`joint`)"
 
 
 JOINT = 1

@@ -25,10 +25,6 @@ from torchid.results.words import (
 )
 from torchid.statistics.proportion import HALF_95
 
-MOST_SIZES = 12
-"""Numbers of a cause that are listed."""
-MOST_RUNS = 12
-"""Runs that are listed of a cause."""
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
 
@@ -83,14 +79,16 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
 def _values(cause: Cause) -> str:
     """Numbers of a cause, a line each, and its shapes in brackets."""
     values = []
-    for size in sorted(cause.sizes, key=lambda s: not s.determined)[:MOST_SIZES]:
+    # Numbers of a cause that are listed
+    most_sizes = 12
+    for size in sorted(cause.sizes, key=lambda s: not s.determined)[:most_sizes]:
         change = abs(size.value - (size.was or 0.0))
         unsure = size.std is not None and change < HALF_95 * size.std
         words = size.named if size.determined else size.name
         values.append(words + (", not determined" if unsure else ""))
     if not values:
         values = ["see the corrected model" if cause.effect == LINK else "-"]
-    values += ["..."] if len(cause.sizes) > MOST_SIZES else []
+    values += ["..."] if len(cause.sizes) > most_sizes else []
     if cause.shape and cause.role != "small":
         sizes = ((cause.parameters[name], name) for name in cause.shape)
         numbers = [
@@ -105,15 +103,17 @@ def _values(cause: Cause) -> str:
 def agreement_table(record: GapRecord | PositionRecord) -> Table:
     """What each run alone wants of each cause: of many runs those that differ."""
     rows = []
+    # Runs that are listed of a cause
+    most_runs = 12
     for runs in by_cause(record.agreement):
         one = runs[0]
         first = sorted(runs, key=lambda r: r.verdict != "differs")
-        listed_runs = runs if len(runs) <= MOST_RUNS else first[:MOST_RUNS]
+        listed_runs = runs if len(runs) <= most_runs else first[:most_runs]
         each = [
             f"{r.run}: {r.words if r.wanted is not None else '-'}{' *' * (r.verdict == 'differs')}"
             for r in listed_runs
         ]
-        each += [f"and {len(runs) - MOST_RUNS} more"] if len(runs) > MOST_RUNS else []
+        each += [f"and {len(runs) - most_runs} more"] if len(runs) > most_runs else []
         merged = measure(one.merged, one.merged_std, unit_behind(one.unit))
         name = f"{one.cause}, {one.parameter}"
         rows.append((name, "\n".join(each), merged, f"{one.spread:.2g}"))

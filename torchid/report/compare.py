@@ -150,8 +150,6 @@ def torque_table(found: Comparison) -> Table | None:
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)
 SHADES = {"differ": RED, "never_determined": GREY}
-CLIP = 10.0
-"""Standard deviations beyond which a value is drawn at the edge."""
 
 
 def forest_figure(found: Comparison) -> Figure | None:
@@ -162,6 +160,8 @@ def forest_figure(found: Comparison) -> Figure | None:
         return None
     m = len(found.labels)
     figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(drawn))
+    # Standard deviations beyond which a value is drawn at the edge
+    clip = 10.0
     for row, p in enumerate(drawn):
         known = p.own_std[~p.own_std.isnan()]
         unit = max(float(known.clamp(min=1e-300).log().mean().exp()), 1e-300)
@@ -173,10 +173,10 @@ def forest_figure(found: Comparison) -> Figure | None:
             x, y = (value - p.mean) / unit, row + 0.6 * ((k + 0.5) / m - 0.5)
             wide, colour = HALF_95 * std / unit, COLOURS[k % len(COLOURS)]
             axes.plot([x - wide, x + wide], [y, y], color=colour, linewidth=1.1)
-            marker = "o" if abs(x) <= CLIP else ("<" if x < 0 else ">")
-            axes.plot(max(-CLIP, min(CLIP, x)), y, marker, color=colour, markersize=3.2)
+            marker = "o" if abs(x) <= clip else ("<" if x < 0 else ">")
+            axes.plot(max(-clip, min(clip, x)), y, marker, color=colour, markersize=3.2)
     axes.axvline(0, color=GREY, linewidth=0.8)
-    axes.set_xlim(-CLIP - 0.5, CLIP + 0.5)
+    axes.set_xlim(-clip - 0.5, clip + 0.5)
     rows_of(axes, [short(", ".join(filter(None, (p.name, p.cause))), 44) for p in drawn])
     axes.set_xlabel(
         "value - mean, in the geometric mean of the standard deviations (lines: 95 %; grey: spread "

@@ -42,13 +42,13 @@ def opened_table(demo: Demo) -> Table:
             _place(one.planted["effect"], one.planted.get("joint")),
             "withheld" if one.withheld else "known",
             f"{one.coefficient[0]} {one.coefficient[1]:.3g}",
-            *_found(one.finding),
+            *_size_and_sureness(one.finding),
         )
         for one in demo.opened
     ]
     for f in demo.others:
         joint = f.joints[0] + 1 if len(f.joints) == 1 else None
-        rows.append((_place(f.effect, joint), "not planted", "", *_found(f)))
+        rows.append((_place(f.effect, joint), "not planted", "", *_size_and_sureness(f)))
     columns = ("cause", "was", "planted", "diagnosis", "sure")
     title = f"{demo.files.key} opened (SHA-256 {demo.files.sealed[:16]}..)"
     return Table(title, columns, rows, "pllll")
@@ -58,7 +58,7 @@ def _place(effect: str, joint: int | None) -> str:
     return effect_words(effect) + ("" if joint is None else f" on joint {joint}")
 
 
-def _found(cause: Cause | None) -> tuple[str, str]:
+def _size_and_sureness(cause: Cause | None) -> tuple[str, str]:
     if cause is None:
         return "not named", ""
     return cause.sizes[0].words if cause.sizes else "", sure(cause.how_sure)

@@ -209,7 +209,7 @@ def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture
     text = (
         "Joint positions: the arm, and both models moved by the same commands, in motions that "
         "were left out of the fit; before, the file's servos, or, where it has none, a plain servo "
-        "refitted to this log: a gain, friction, inertia, delay and offset."
+        "refitted to this log: a gain, friction, inertia, offset and a usual delay."
     )
     torque = None
     if isinstance(d, TorqueDiagnosis):

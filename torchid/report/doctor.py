@@ -7,6 +7,7 @@ import numpy as np
 from rich.text import Text
 
 from torchid.doctor.examine import Examination, conclusion
+from torchid.doctor.search import percent
 from torchid.report.colours import BLUE, ORANGE
 from torchid.report.panels import Figure, finish, joint_rows
 from torchid.report.table import Report, Table
@@ -67,7 +68,7 @@ def torque_figure(examination: Examination) -> Figure | None:
     for k, axes in enumerate(grid[:, 0]):
         axes.plot(measured[:, k], color=BLUE, linewidth=1.2, label="measured, mended")
         axes.plot(explained[:, k], color=ORANGE, linewidth=1.0, label="best bodies, while moving")
-        unit, error = joint_unit(examination.robot, k), 100 * search.final.errors[k]
-        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{error:.1f} %")
-    title = f"{examination.robot.name}: torque measured, and explained by bodies"
+        unit, left = joint_unit(examination.robot, k), percent(search.left[k])
+        axes.set_ylabel(f"joint {k + 1} [{unit}]\n{left} left")
+    title = f"{examination.robot.name}: torque, explained by bodies; % left on time held out"
     return finish(figure, title, grid[0, 0])

@@ -9,14 +9,9 @@ from msgspec import UNSET, UnsetType
 from torchid.report.brief import Screen
 from torchid.report.table import Report, Table
 from torchid.results.answer import Answer
-from torchid.results.files import contents, load, parsed
+from torchid.results.files import contents, load, parsed, require_result
 from torchid.results.record import Record
 from torchid.results.words import short, value_words
-
-MOST_ROWS = 60
-"""Of a table of entries."""
-MOST_CHARACTERS = 60
-"""Of a cell."""
 
 
 class _StoredTable(msgspec.Struct):
@@ -61,6 +56,7 @@ def report_of_file(path: Path) -> tuple[dict[str, Any], Report]:
         TorchidError: no such file, no result, or a diagnosis of an older version, which holds no
             answer.
     """
+    require_result(path)  # with a hint where it is another kind of file
     content = contents(path, "a result")
     stored = parsed(content, _Stored, path, "a result")
     if stored.explanation is UNSET:  # of Python's `save`, or of an older version
@@ -91,11 +87,14 @@ def report_of_record(record: Record) -> Report:
         return diagnosis.report_of_diagnosis(record)
     rows = record.table.plain()
     columns = list(rows[0]) if rows else []
+    # 60: of a cell
+    # Of a table of entries
+    most_rows = 60
     cells = [
-        [short(value_words(row.get(name), ".4g"), MOST_CHARACTERS) for name in columns]
-        for row in rows[:MOST_ROWS]
+        [short(value_words(row.get(name), ".4g"), 60) for name in columns]
+        for row in rows[:most_rows]
     ]
-    more = f"{len(rows) - MOST_ROWS} more rows are in the file." if len(rows) > MOST_ROWS else ""
+    more = f"{len(rows) - most_rows} more rows are in the file." if len(rows) > most_rows else ""
     words = [name.replace("_", " ") for name in columns]
     table = Table(record.schema, words, cells, "p" * len(words), more)
     warnings = getattr(record, "warnings", ())

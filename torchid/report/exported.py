@@ -128,13 +128,17 @@ def correction_tables(done: Correction) -> list[Table]:
 
 
 def _kept(one: Kept, to: str) -> str:
+    """`57 % by friction 1.43 of joint 3; 0.76 of 1.7 lost`."""
+    lost = f"{one.lost:.2g} of {one.made:.2g} lost"
+    if not one.share > 0:
+        return f"nothing; {lost}"
     words = f"{100 * one.share:.0f} % by "
     if one.joint is None or one.value is None:
         words += "the links' bodies"
     else:
         field = "friction" if to == "urdf" and one.field == "frictionloss" else one.field
         words += f"{field} {one.value:.3g} of joint {one.joint + 1}"
-    return f"{words}; {one.lost:.2g} of {one.made:.2g} lost"
+    return f"{words}; {lost}"
 
 
 def _bodies(robot: Robot, nominal: Robot) -> Table:

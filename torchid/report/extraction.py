@@ -161,8 +161,6 @@ _LEAST = 1e-34
 """Losses below it are drawn on it."""
 _KNOWN, _NARROWED = 0.01, 0.5
 """Shares of the bounds' range below which a parameter counts as known, and as narrowed."""
-_OUTSIDE = 1e-6
-"""Share of an interval between bounds by which a set at an end may miss it: rounding."""
 
 
 def atlas_headline(atlas: Atlas, problem: Problem) -> str:
@@ -187,7 +185,8 @@ def atlas_headline(atlas: Atlas, problem: Problem) -> str:
     sets = InertialParameters.from_paper_order(atlas.extremes[..., : 10 * problem.n])
     inertia = sets.inertia_about_com
     low, high = problem.bounds.inertia.to(inertia).unbind(-1)
-    slack = _OUTSIDE * (high - low)
+    # 1e-6: share of an interval between bounds by which a set at an end may miss it: rounding
+    slack = 1e-6 * (high - low)
     out = (inertia < low - slack) | (inertia > high + slack)
     outside = int(out.flatten(2).any(-1).sum())
     if outside:

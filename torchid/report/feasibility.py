@@ -18,8 +18,6 @@ NEAR = 0.05
 """Degree below which a condition is shown as near its boundary."""
 MOST_TABLES = 3
 """Sets that have a table each; more are one row a set."""
-MOST_ROWS = 50
-"""Rows of the table of sets."""
 DEGREE = (
     "degree: the smallest margin of all conditions, each over a scale of its own (a link's mean "
     "second moment, half a box's side, the mean mass): negative outside, 0 on the boundary"
@@ -191,7 +189,8 @@ def _set_table(check: Check) -> Table:
         rows.append((name, said, degree, f"{masses[k]:.4g}", findings, why))
     columns = ("set", "feasible", "degree", "total mass [kg]", "findings", "violated")
     title = f"{count} sets of {check.robot.name}"
-    return Table(title, columns, rows, "lrrrrp", most=MOST_ROWS)
+    # 50: rows of the table of sets
+    return Table(title, columns, rows, "lrrrrp", most=50)
 
 
 def findings_lines(check: Check) -> tuple[str, ...]:

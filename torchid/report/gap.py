@@ -25,8 +25,6 @@ from torchid.results.words import (
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
 
-_MOST_REGIMES = 3
-
 
 def evidence(record: GapRecord) -> Evidence:
     """What a diagnosis of torques rests on."""
@@ -74,17 +72,18 @@ def joint_table(record: GapRecord) -> Table:
 
 def _regimes(record: GapRecord, joint: int) -> str:
     """What holds more than its share of a joint's gap."""
-    return ", ".join(map(excess_words, clear_regimes(record, joint)[:_MOST_REGIMES])) or "-"
+    # 3: regimes a joint at most
+    return ", ".join(map(excess_words, clear_regimes(record, joint)[:3])) or "-"
 
 
 def budget_words(record: GapRecord) -> str:
-    """The share of the gap that is closed, with its interval, and by what."""
+    """The share of the gap beyond noise that is closed, with its interval, and by what."""
     far, budget = record.how_far, record.budget
     if far.closed is None or far.closed_ci95 is None:
         quiet = {"no_gap": "the gap may be noise", "negligible": "too little to say"}
-        return f"closed: {quiet.get(record.status, 'none')}"
+        return f"closed beyond noise: {quiet.get(record.status, 'none')}"
     return (
-        f"closed: {percent(far.closed)} {interval(far.closed_ci95)}; base parameters "
+        f"closed beyond noise: {percent(far.closed)} {interval(far.closed_ci95)}; base parameters "
         f"{percent(budget.parametric)}, effects {percent(budget.structural)}, unexplained "
         f"{percent(budget.unexplained)}"
     )

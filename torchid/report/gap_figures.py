@@ -8,8 +8,8 @@ import torch
 
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
 from torchid.gap.record import GapRecord, Regime, RegimeGap
-from torchid.report.colours import AFTER, BEFORE, GREY, INK
-from torchid.report.over_time import NARROW
+from torchid.report.colours import AFTER, BEFORE, GREY
+from torchid.report.over_time import NARROW, draw_noise
 from torchid.report.panels import (
     SMALL,
     Figure,
@@ -119,9 +119,6 @@ BINS = 24
 BLOCK = 1.0
 """Seconds of a block for the bins' intervals."""
 
-_SCATTER = 1500
-_FEWEST = 3  # blocks in a bin that is drawn
-
 
 def joint_figure(
     diagnosis: TorqueDiagnosis, joint: int | None = None, narrow: bool = False
@@ -146,11 +143,11 @@ def joint_figure(
     # Half the height of the panels is the scatter but for its outermost points.
     both = np.abs(np.concatenate([s["before"], s["after"]]))
     limit = 1.25 * max(float(np.quantile(both, 0.99)), 1e-9) if len(both) else 1.0
-    high = float(diagnosis.floor.high[joint])
     for axes, (x, name) in zip(panels, against, strict=True):
-        axes.axhspan(-high, high, color=INK, alpha=0.10, linewidth=0, label="noise, ±1 RMS")
+        draw_noise(axes, diagnosis.floor.ends[joint].tolist())
         axes.axhline(0, color=GREY, linewidth=0.8)
-        some = slice(None, None, max(1, len(x) // _SCATTER))
+        # 1500: points at most
+        some = slice(None, None, max(1, len(x) // 1500))
         faint = {"s": 4, "alpha": 0.16, "linewidths": 0, "rasterized": True}
         for y, colour, _ in models:
             axes.scatter(x[some], y[some], color=colour, **faint)
@@ -207,7 +204,8 @@ def binned(
     for b in range(BINS):
         inside = where == b
         names, owner = np.unique(block[inside], return_inverse=True)
-        if len(names) < _FEWEST:
+        # 3: blocks in a bin that is drawn
+        if len(names) < 3:
             continue
         count = np.bincount(owner)
         total = np.bincount(owner, weights=y[inside])

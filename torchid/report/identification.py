@@ -25,9 +25,6 @@ from torchid.report.table import Report, Section, Table, cells, joint_numbers
 from torchid.results.words import listed, number_list, short, unit_words
 from torchid.robot.model import joint_unit
 
-_ZERO = 100.0
-"""Half-width of the 95 % interval in % of the value: beyond it, zero is possible."""
-
 
 def report_of_identification(result: Identification) -> Report:
     """All that there is to see of an identification."""
@@ -58,7 +55,8 @@ def shown_errors(result: Identification) -> tuple[Errors, bool]:
 def poor_names(result: Identification) -> list[str]:
     """Names of estimated coefficients whose 95 % interval holds zero, the worst first."""
     half = result.uncertainty.quantile() * result.relative_std_percent
-    bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > _ZERO]
+    # 100.0: half-width of the 95 % interval in % of the value: beyond it, zero is possible
+    bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > 100.0]
     return [result.base.names[k] for k in sorted(bad, key=lambda k: -float(half[k]))]
 
 
@@ -134,9 +132,6 @@ def error_table(result: Identification) -> Table:
     return Table(title, ("data, rows", *joint_numbers(result.robot.n), "mean"), rows, "p")
 
 
-_MOST_POINTS = 4000
-
-
 def torque_figure(
     prediction: Prediction, units: Sequence[str], title: str, rows: Rows = "moving"
 ) -> Figure:
@@ -151,7 +146,8 @@ def torque_figure(
     """
     n = prediction.measured.shape[1]
     figure, grid = joint_rows(n, ("", ""), (11, 1.2 + 1.35 * n), units, width_ratios=(3, 2))
-    step = slice(None, None, max(1, len(prediction.t) // _MOST_POINTS))
+    # 4000: points at most
+    step = slice(None, None, max(1, len(prediction.t) // 4000))
     t = (prediction.t - prediction.t[0])[step].numpy()
     measured, predicted = (x[step].numpy() for x in (prediction.measured, prediction.predicted))
     moving = prediction.moving[step].numpy()
@@ -224,11 +220,6 @@ def parameter_figure(result: IdentificationRecord) -> Figure:
     return finish(figure, f"{result.robot}: how well each parameter is known")
 
 
-MOST_TRAJECTORIES = 3
-"""Shown as pictures."""
-_MOST_NAMED = 3
-
-
 def identification_page(result: Identification, origin: Origin) -> Page:
     """The page of an identification."""
     n, every = result.base.n_rigid, len(result.base)
@@ -293,7 +284,8 @@ def _percent(value: float) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    return listed((short(name, 30) for name in names), most=_MOST_NAMED)
+    # 3: names at most
+    return listed((short(name, 30) for name in names), most=3)
 
 
 def _held(result: Identification, k: int) -> str:
@@ -337,7 +329,8 @@ def _pictures(result: Identification) -> list[Picture]:
     held = bool(result.held_out_predictions)
     shown = result.held_out_predictions if held else result.fit_predictions
     out = []
-    for k, p in enumerate(shown[:MOST_TRAJECTORIES], start=1):
+    # 3: shown as pictures
+    for k, p in enumerate(shown[:3], start=1):
         place = f" (trajectory {k} of {len(shown)})" if len(shown) > 1 else ""
         out.append(
             Picture(

@@ -1,6 +1,7 @@
 """Signals of the arm and of two models over time: one drawing for every kind of log, of which a
 page lets its reader zoom, and choose the joint and the run."""
 
+import math
 from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,22 +14,14 @@ from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.colours import AFTER, BEFORE, GREY, INK
 from torchid.report.panels import Figure, finish, panel, worst_stretch
-from torchid.results.words import joint_labels
+from torchid.results.words import joint_labels, span
 from torchid.robot.model import Robot, error_unit, joint_unit
 from torchid.typing import Bool, Float, Tensor
 
 NARROW = 4.2
 """Width of a figure on a phone [inch]."""
-BYTES = 700_000
-"""Of one drawing's numbers on a page."""
-MOST_INSTANTS = 6000
-"""Of a run."""
 WINDOW_S = 12.0
 """Of a run that is shown first, where a model errs most [s]."""
-SLOW = 0.1
-"""Share of a joint's RMS speed below which it rests."""
-_DRAWN = 4000
-_LEVELS = 32767  # of a number on a page, from 0 to its curve's largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +72,8 @@ class OverTime:
         models: names of the models before and after; none where the arm is shown alone.
         error: unit of the errors, and how many of it one of the joint's units is; the joint's own
             unit if None.
-        noise: (n,) RMS in the joints' units, or None.
+        noise: (n, 2) ends of its RMS in the joints' units, the upper one NaN where nothing bounds
+            it; or None.
         where: added to the title.
     """
 
@@ -90,7 +84,7 @@ class OverTime:
     order: Sequence[int]
     models: tuple[str, ...]
     error: tuple[str, float] | None = None
-    noise: Float[Tensor, " n"] | None = None
+    noise: Float[Tensor, "n 2"] | None = None
     where: str = ""
 
     def worst(self, joint: int) -> int:
@@ -107,7 +101,8 @@ class OverTime:
         joint = self.order[0] if joint is None else joint
         run = self.runs[self.worst(joint)]
         whole, _ = run.window(joint)
-        rows = slice(whole.start, whole.stop, max(1, (whole.stop - whole.start) // _DRAWN))
+        # 4000: instants at most
+        rows = slice(whole.start, whole.stop, max(1, (whole.stop - whole.start) // 4000))
         t = run.t[rows].numpy()
         measured = run.measured[rows, joint].numpy()
         models = [x[rows, joint].numpy() for x in (run.before, run.after) if x is not None]
@@ -144,8 +139,7 @@ class OverTime:
         """What parts a joint from each model, over the noise."""
         unit, scale = self.error_unit(joint)
         if self.noise is not None:
-            high = scale * float(self.noise[joint])
-            axes.axhspan(-high, high, color=INK, alpha=0.12, linewidth=0, label="noise, ±1 RMS")
+            draw_noise(axes, (scale * self.noise[joint]).tolist())
         axes.axhline(0, color=GREY, linewidth=0.8)
         for x, colour in zip(off, (BEFORE, AFTER), strict=True):
             axes.plot(t, scale * x, color=colour, linewidth=1.2)
@@ -157,7 +151,9 @@ class OverTime:
         n = len(self.joints)
         command = any(run.command is not None for run in self.runs)
         curves = 1 + len(self.models) + command
-        most = min(MOST_INSTANTS, BYTES // (len(self.runs) * n * curves * 8 // 3))
+        # 700_000: of one drawing's numbers on a page
+        # 6000: of a run
+        most = min(6000, 700_000 // (len(self.runs) * n * curves * 8 // 3))
         scales = [self.error_unit(j) for j in range(n)]
         return {
             "quantity": self.quantity,
@@ -165,12 +161,26 @@ class OverTime:
             "units": list(self.units),
             "errors": [unit for unit, _ in scales],
             "scales": [scale for _, scale in scales],
-            "noise": None if self.noise is None else [_short(x) for x in self.noise.tolist()],
+            "noise": None
+            if self.noise is None
+            else [_short(noise_width(x)) for x in self.noise.tolist()],
             "models": self.models,
             "joint": self.order[0],
             "run": self.worst(self.order[0]),
             "runs": [_packed(run, most) for run in self.runs],
         }
+
+
+def noise_width(ends: Sequence[float]) -> float:
+    """Of the ends of a noise the upper one, or the lower one where nothing bounds it above."""
+    low, high = ends
+    return low if math.isnan(high) else high
+
+
+def draw_noise(axes: Any, ends: Sequence[float]) -> None:
+    """A band over an error: the noise as the answer says it."""
+    width, label = noise_width(ends), f"noise, RMS {span(ends, 2)}"
+    axes.axhspan(-width, width, color=INK, alpha=0.12, linewidth=0, label=label)
 
 
 def _packed(run: Run, most: int) -> dict[str, Any]:
@@ -197,7 +207,9 @@ def _packed(run: Run, most: int) -> dict[str, Any]:
 def _coded(x: Float[Tensor, " T"]) -> list[Any]:
     """[largest size, 16-bit shares of it]; the lowest number is none."""
     most = float(x.abs().nan_to_num().max()) or 1.0
-    shares = (x / most * _LEVELS).round().nan_to_num(nan=-_LEVELS - 1)
+    # of a number on a page, from 0 to its curve's largest
+    levels = 32767
+    shares = (x / most * levels).round().nan_to_num(nan=-levels - 1)
     return [_short(most), b64encode(shares.numpy().astype("<i2").tobytes()).decode()]
 
 
@@ -218,7 +230,7 @@ def _worst_first(d: TorqueDiagnosis) -> list[int]:
 
 
 def _units(robot: Robot) -> list[str]:
-    """Of each joint's position."""
+    """Unit of each joint's position."""
     return ["m" if joint_unit(robot, j) == "N" else "rad" for j in range(robot.n)]
 
 
@@ -237,7 +249,7 @@ def torque_over_time(d: TorqueDiagnosis) -> OverTime:
         "torque", runs, joint_labels(d.robot.joint_names),
         [joint_unit(d.robot, j) for j in range(d.robot.n)],
         _worst_first(d),
-        ("model as given", "corrected model"), noise=d.floor.high, where=" on data not fitted",
+        ("model as given", "corrected model"), noise=d.floor.ends, where=" on data not fitted",
     )  # fmt: skip
 
 
@@ -260,10 +272,11 @@ def motion_over_time(d: TorqueDiagnosis | PositionDiagnosis) -> OverTime:
         q = log.q[rows]
         command = None if log.u is None else log.u[rows]
         speed = torch.gradient(q, dim=0)[0].abs()
+        # 0.1: share of a joint's RMS speed below which it rests
         runs.append(
             Run(log.names[int(log.trajectory[a])] if len(log.names) else f"motion {k + 1}",
                 log.t[rows] - log.t[a], q, q + before[rows], q + answered[rows], command,
-                moving=speed > SLOW * speed.square().mean(0).sqrt())
+                moving=speed > 0.1 * speed.square().mean(0).sqrt())
         )  # fmt: skip
     moving = [j for j in range(data.robot.n) if not bool(d.still[j])]
     order = sorted(moving, key=lambda j: -float(d.before.whole[j])) or [0]

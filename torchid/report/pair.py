@@ -1,9 +1,9 @@
 """A simulator's log against the arm's, for people."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
+from torchid.effects.servo import PARAMETERS
 from torchid.pair.pair import PairDiagnosis
 from torchid.pair.record import OneSided, ServoDifference, WherePair
 from torchid.report import diagnosis
@@ -14,35 +14,14 @@ from torchid.results.words import (
     effect_words,
     joints_words,
     listed,
-    measure,
     percent,
+    sure,
     unit_behind,
     within,
 )
 
 _MOST_REGIMES = 3
-_WORDS = {
-    "kp": ("gain", "lower", "higher"),
-    "kd": ("derivative gain", "lower", "higher"),
-    "integral": ("integral gain", "lower", "higher"),
-    "damping": ("viscous friction", "less", "more"),
-    "armature": ("rotor inertia", "smaller", "larger"),
-    "delay": ("delay", "shorter", "longer"),
-    "offset": ("torque offset", "lower", "higher"),
-    "coulomb": ("dry friction", "less", "more"),
-    "stiction": ("extra friction at rest", "less", "more"),
-    "stribeck_speed": ("speed at which stiction fades", "lower", "higher"),
-    "motor_share": ("friction share of the motor torque", "smaller", "larger"),
-    "load_share": ("friction share of the external torque", "smaller", "larger"),
-    "acceleration": ("acceleration limit", "lower", "higher"),
-    "speed": ("speed limit", "lower", "higher"),
-    "lag": ("command filter's time constant", "shorter", "longer"),
-    "clip": ("torque limit", "lower", "higher"),
-    "dead_zone": ("dead zone", "narrower", "wider"),
-    "stop_low": ("lower end stop", "lower", "higher"),
-    "stop_high": ("upper end stop", "lower", "higher"),
-    "scale": ("command factor", "smaller", "larger"),
-}
+_WORDS = {p.name: p.words for p in PARAMETERS}
 """Of servos' parameters: a noun, and what a smaller and a larger value is called."""
 _UNCOUNTED = ("viscous friction", "dry friction", "extra friction at rest")
 
@@ -58,7 +37,9 @@ def verdict(pair: PairDiagnosis) -> str:
             filter(None, (f"The set-ups differ: {first.meaning}. {first.remedy}{then}", servos))
         )
     if pair.which:
-        phrases = [f"{_more(one)} at {joints_words(one.joints)}" for one in pair.which[:3]]
+        phrases = [
+            _more(one) + (f" at {joints_words(one.at)}" if one.at else "") for one in pair.which[:3]
+        ]
         more = f", and {len(pair.which) - 3} more" if len(pair.which) > 3 else ""
         return f"The set-ups agree; what differs: {'; '.join(phrases)}{more}."
     if servos:
@@ -105,8 +86,7 @@ def _article(noun: str) -> str:
 def _more(one: OneSided) -> str:
     """`Coulomb friction that only the arm has`."""
     who = {"arm": "the arm", "simulator": "the simulator"}[one.more]
-    name = effect_words(one.effect)
-    return f"{name} that only {who} has" if one.only else f"{name}, of which {who} has more"
+    return f"{one.name} that only {who} has" if one.only else f"{one.name}, of which {who} has more"
 
 
 def report_of_pair(pair: PairDiagnosis) -> Report:
@@ -138,12 +118,12 @@ def tables(pair: PairDiagnosis) -> list[Table | None]:
     record = pair.record
     effects = [
         (
-            _more(one), joints_words(one.joints), _sizes(one.simulator, {}, one.unit),
-            _sizes(one.arm, one.std, one.unit), percent(one.share),
-            ", ".join(map(effect_words, one.ambiguous_with)) or "-",
+            _more(one), joints_words(one.at), one.values() or "-", percent(one.share),
+            sure(one.how_sure), ", ".join(map(effect_words, one.ambiguous_with)) or "-",
         )
         for one in record.which or ()
     ]  # fmt: skip
+    both = [(c.name, joints_words(c.at), c.values() or "-", sure(c.how_sure)) for c in record.both]
     servos = [
         (
             str(s.joint + 1), f"{s.parameter} / kp" if s.per_kp else s.parameter,
@@ -155,23 +135,22 @@ def tables(pair: PairDiagnosis) -> list[Table | None]:
         for s in record.servos or ()
     ]  # fmt: skip
     numbers = ("joint", "parameter", "simulator", "arm", "differs")
-    headings = ("effect", "where", "simulator", "arm", "share", "not separable from")
+    headings = ("effect", "where", "simulator -> arm", "share", "how sure", "not separable from")
     return [
         None if record.torque is None else _where(record.torque, "torque", "N m"),
         _where(record.position, "motion", "mrad"),
         table_of(
             "set-up, in the order in which to mend it", record.faults, "fault where meaning remedy"
         ),
-        Table("effects: simulator -> arm", headings, effects, "pppprp"),
+        Table("effects: simulator -> arm", headings, effects, "ppprrp"),
+        Table(
+            "in both logs, and not in the robot's file",
+            ("effect", "where", "file -> both", "how sure"),
+            both,
+            "pppr",
+        ),
         Table("servos, from commands and positions [95 %]", numbers, servos, "rp"),
     ]
-
-
-def _sizes(values: Mapping[str, float], std: Mapping[str, float], unit: Mapping[str, str]) -> str:
-    return "\n".join(
-        f"{name} = {measure(x, std.get(name), unit_behind(unit.get(name, '')))}"
-        for name, x in values.items()
-    )
 
 
 def _where(where: WherePair, what: str, unit: str) -> Table:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from msgspec import UNSET
 
+from torchid.effects.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 from torchid.errors import TorchidError
 from torchid.position.next_motion import NextCommands
 from torchid.position.nominal import unit_of
@@ -27,12 +28,9 @@ from torchid.report.panels import (
 )
 from torchid.report.table import Report, Table, cells, table_of
 from torchid.results.words import regime_words, unit_behind, within
-from torchid.simulation.servo import INDEX, PARAMETERS, PER_KP, TORQUES, as_share
 
 WORST = 3
 """Joints that get a figure of their own."""
-MOST_WORSE = 3
-"""Places where an answer is worse than a plain servo that are named."""
 
 
 def label(record: PositionRecord, joint: int) -> str:
@@ -51,7 +49,7 @@ def unit_of_errors(record: PositionRecord) -> str:
 
 
 def before_words(record: PositionRecord) -> str:
-    """Whose that is."""
+    """Whose error the one before is, in words."""
     return "a plain servo" if record.how_far.file is UNSET else "the file's servo"
 
 
@@ -66,7 +64,7 @@ def remarks(record: PositionRecord) -> list[str]:
         f"move: the command alone {far.commanded.whole_mrad:.1f} {unit}, {file}, a plain servo "
         f"refitted to this log {far.plain.whole_mrad:.1f}, corrected "
         f"{far.answered.whole_mrad:.1f}; in windows of 2 s {far.answered.windows_2s_mrad:.1f}. A "
-        "plain servo has a gain, friction, inertia, delay and offset."
+        "plain servo has a gain, friction, inertia, offset and a usual delay."
     ]
     told = [j.noise_mrad for j in record.where.joints if not math.isnan(j.noise_mrad[0])]
     if told:
@@ -82,9 +80,11 @@ def remarks(record: PositionRecord) -> list[str]:
             f"{held.windows_2s_mrad:.1f} {unit}."
         )
     worse = _worse(record)
+    # Places where an answer is worse than a plain servo that are named
+    most_worse = 3
     if worse:
-        more = " and elsewhere" if len(worse) > MOST_WORSE else ""
-        where = "; ".join(worse[:MOST_WORSE])
+        more = " and elsewhere" if len(worse) > most_worse else ""
+        where = "; ".join(worse[:most_worse])
         out.append(f"It is worse than {before_words(record)} on {where}{more}.")
     return out
 

@@ -14,21 +14,16 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.report.colours import BEFORE, GREY, GRID, INK
 from torchid.report.panels import SMALL, Figure, new_figure
 from torchid.results.answer import Answer
+from torchid.results.cause import LINK
 from torchid.results.words import joint_labels, short
 from torchid.robot.model import FREE, JointType, Robot, link_poses
 from torchid.typing import Float, Tensor
 
-REMOVED = 0.32
-"""Opacity of what the causes remove."""
 PHONE = 3.6
 """Width on a phone [inch]."""
-MOST_NAMED = 2
-"""Causes beside a joint."""
 _POSES, _VIEWS, _TILT = 40, 12, 0.3  # that are tried, and how far it is looked at from above [rad]
 _LARGEST, _SMALLEST, _DOT = 0.26, 0.08, 0.025  # radii of joints, and of their axes [inch]
-_LETTERS = 22  # of a line beside a joint
 _LINE, _COLUMN = 0.155, 1.85  # height of one, and width of a column of them [inch]
-_TALLEST = 4.2  # robot [inch]
 
 
 def _places(robot: Robot, q: Float[Tensor, "K n"]) -> tuple[np.ndarray, list[tuple[int, int]]]:
@@ -125,22 +120,26 @@ def _labels(robot: Robot, answer: Answer) -> dict[int, list[str]]:
     causes: dict[int, list[str]] = {j: [] for j in range(robot.n)}
     for cause in sorted(answer.entries, key=lambda c: -c.share):
         own: Sequence[int] = cause.at
-        if cause.effect == "link_inertia":  # the joints that move links, or carry them nearest
+        if cause.effect == LINK:  # the joints that move links, or carry them nearest
             own = [robot.drives[k].coordinate if k < robot.n_links else robot.n - 1 for k in own]
         for j in own:
             causes[j].append(cause.name)
     names, labels = joint_labels([j.name for j in answer.joints]), {}
     # Coordinates of a base that moves are no joints.
+    # Causes beside a joint
+    most_named = 2
+    # of a line beside a joint
+    letters = 22
     for j in range(FREE if robot.floating else 0, robot.n):
         one, error = answer.joints[j], "never moves"
         if one.before > 0:
             error = f"{one.before:.3g} \u2192 {one.after:.3g}"
-        name = short(names[j].removesuffix("_joint"), _LETTERS - len(error) + 4)
+        name = short(names[j].removesuffix("_joint"), letters - len(error) + 4)
         every = list(dict.fromkeys(causes[j]))
-        lines = [line for text in every[:MOST_NAMED] for line in wrap(text, _LETTERS)]
+        lines = [line for text in every[:most_named] for line in wrap(text, letters)]
         labels[j] = [f"{name}   {error}", *lines]
-        if len(every) > MOST_NAMED:
-            labels[j].append(f"and {len(every) - MOST_NAMED} more")
+        if len(every) > most_named:
+            labels[j].append(f"and {len(every) - most_named} more")
     return labels
 
 
@@ -178,7 +177,8 @@ def skeleton_figure(
     tall = [_LINE * sum(len(labels[j]) + 0.9 for j in own) for _, own in sides]
     room = width - 2 * (_COLUMN if side_by_side else 0.2) - 2 * _LARGEST
     span = np.maximum(high - low, 0.15)
-    scale = min(room / span[0], _TALLEST / span[1])
+    # 4.2: robot [inch]
+    scale = min(room / span[0], 4.2 / span[1])
     height = max(scale * span[1] + 3 * _LARGEST, *tall, 1.5) + 0.4
     figure = new_figure(width, height)
     figure.set_layout_engine("none")
@@ -211,7 +211,8 @@ def _draw_joint(axes: Any, at: Any, slides: bool, *sizes: float) -> None:
     """A joint's hub, its error before and what is left of it, by their radii [inch]."""
     from matplotlib.patches import Circle, Rectangle
 
-    looks = ((GRID, 1.0), (BEFORE, REMOVED), (BEFORE, 1.0), (INK, 1.0))
+    # 0.32: opacity of what the causes remove
+    looks = ((GRID, 1.0), (BEFORE, 0.32), (BEFORE, 1.0), (INK, 1.0))
     for k, (radius, (colour, opacity)) in enumerate(zip((*sizes, _DOT), looks, strict=True)):
         shape = Rectangle(at - radius, 2 * radius, 2 * radius) if slides else Circle(at, radius)
         shape.set(color=colour, alpha=opacity, linewidth=0, zorder=4 + k)
@@ -238,7 +239,7 @@ def _write_labels(axes: Any, side: int, members: Sequence[tuple[np.ndarray, list
 
 
 def skeleton_of(d: TorqueDiagnosis | PositionDiagnosis, width: float = 6.4) -> Figure:
-    """Of a diagnosis that holds motion."""
+    """The skeleton of a diagnosis that holds motion."""
     if isinstance(d, PositionDiagnosis):
         return skeleton_figure(d.data.robot, d.answer, d.data.q, width)
     q = torch.cat([t.motion.q[t.valid] for t in d.traces])

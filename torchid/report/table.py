@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 Cell = str | Text
 """Plain text; a `Text` where the terminal shows it in a colour."""
-_NARROW = 16
-"""Characters that a column of words has at least, if it has so long ones."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class Table:
 
     @property
     def letters(self) -> str:
-        """Of all columns."""
+        """Letters of all columns together."""
         return self.align.ljust(len(self.columns), "r")
 
     def __bool__(self) -> bool:
@@ -134,7 +132,8 @@ class Table:
         )
         whole, top = max(lines, _widest(head.splitlines())), _widest(head.split())
         if self.letters[column] == "p":
-            lines = words = min(_NARROW, lines)
+            # 16: characters that a column of words has at least, if it has so long ones
+            lines = words = min(16, lines)
         return whole, max(top, lines), max(top, words)
 
     def on_page(self) -> "Table":
@@ -237,7 +236,7 @@ class Section:
 
     @property
     def key(self) -> str:
-        """Of its place on the page."""
+        """Key of the section's place on the page."""
         return "".join(c if c.isalnum() else "-" for c in self.title.lower())
 
 
@@ -271,14 +270,14 @@ class Page:
 
     @property
     def pictures(self) -> "list[Picture]":
-        """All of them, in their order."""
+        """All pictures, in their order."""
         from torchid.report.panels import Picture
 
         inside = [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
         return inside if self.picture is None else [self.picture, *inside]
 
     def markdown(self) -> str:
-        """The same in Markdown; its pictures lie beside it."""
+        """The report in Markdown; its pictures lie beside it."""
         from torchid.report.panels import Picture
 
         parts = [f"# {self.title}\n", f"{self.verdict}\n"]

@@ -23,19 +23,14 @@ from torchid.design.columns import SMOOTHED, Model
 from torchid.effects.registry import EVENTS
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import atomic_write
+from torchid.gap.cause_records import valued
 from torchid.gap.describe.where import regime_instants
 from torchid.gap.diagnosis import TorqueDiagnosis, Trace
-from torchid.gap.told import valued
 from torchid.log.filtering import low_passed
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.results.answer import Diagnosis
 from torchid.robot.model import joint_unit
 from torchid.typing import Bool, Float, Tensor
-
-CLEAR = 0.05
-"""p below which a regime is shown."""
-PER_PERIOD = 10.0
-"""Instants kept a period of the band's edge: the signals have nothing faster."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,13 +85,15 @@ def joint_views(diagnosis: Diagnosis) -> tuple[JointView, ...]:
     for trace, places in zip(diagnosis.traces, spans, strict=True):
         effects = _effects(diagnosis, trace)
         kept = torch.zeros_like(trace.valid)
-        kept[:: max(1, int(trace.rate / (PER_PERIOD * diagnosis.band)))] = True
+        # 10.0: instants kept a period of the band's edge: the signals have nothing faster
+        kept[:: max(1, int(trace.rate / (10.0 * diagnosis.band)))] = True
         kept &= trace.valid
         motion = trace.motion
         since = torch.arange(len(kept), dtype=torch.float64) / trace.rate
         for j, name in enumerate(robot.joint_names):
             at = (kept, j)
-            clear = [r for r in diagnosis.regimes if r.joint == j and r.p < CLEAR and r.excess > 0]
+            # 0.05: p below which a regime is shown
+            clear = [r for r in diagnosis.regimes if r.joint == j and r.p < 0.05 and r.excess > 0]
             regimes = {str(r.regime): places[r.regime][at] for r in clear}
             out.append(
                 JointView(

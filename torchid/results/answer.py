@@ -33,6 +33,7 @@ from torchid.results.cause import (
 from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
+    PAYLOAD,
     digits,
     effect_words,
     joint_labels,
@@ -44,21 +45,15 @@ from torchid.results.words import (
     unit_words,
 )
 
-MOST = 0.5
-"""Share of the joints above which a cause that they have in common is one row."""
 LINE, LINES = 80, 3
 """Characters of a line, and lines of a headline that names more than one cause."""
 MOST_VALUES = (6, 2)
 """Joints whose values it has, one by one: as many as there is room for."""
 LARGEST = 3
 """Causes that it names, with sizes and places, where there is room for them."""
-FAILS = 2.0
-"""Error of held-out data over that of motions left out in turn, from which on it is said first."""
 UNCHANGED = 0.99
 """Share of the error that is left, from which on the causes have closed nothing."""
 
-ALL = 1 - 5e-4
-"""Share of the error beyond a measured noise from which on it is all of it."""
 
 KINDS = ("Stopped", "Next time", "Caution")
 """How warnings begin that come first: that a search was, and those that ask for something; all
@@ -67,7 +62,7 @@ others are for information."""
 COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 
 
-PLAIN_SERVO = "plain servo: gain, friction, inertia, delay and offset, fitted to this log"
+PLAIN_SERVO = "plain servo: gain, friction, inertia, offset and a usual delay, fitted to this log"
 """What the error before is of where the robot's file has no servo."""
 
 REMEDY = (
@@ -260,7 +255,9 @@ class Answer(Part, frozen=True, kw_only=True):
     def fails(self) -> str:
         """That the answer does not hold on data that were held out; empty where it does."""
         after, left_out = self.after, self.left_out
-        if left_out is None or not after.value > FAILS * left_out.value or not self.causes:
+        # 2.0: error of held-out data over that of motions left out in turn, from which on it is
+        # said first
+        if left_out is None or not after.value > 2.0 * left_out.value or not self.causes:
             return ""
         return (
             f"The answer fails {after.words}: there it errs {after.size}, {self.given} "
@@ -276,6 +273,14 @@ class Answer(Part, frozen=True, kw_only=True):
         low = 1.0 if self.closed_ci95 is None else self.closed_ci95[0]
         fell = self.after.value < UNCHANGED * self.before.value
         return fell and self.closed is not None and low > 0
+
+    @property
+    def main_suspect(self) -> Cause | None:
+        """The suspect that takes most of the error, where causes with a sure name close the lesser
+        part of what the corrected model does; else None."""
+        held = [c for c in self.suspects if c.share == c.share]
+        unsure = bool(held) and self.unnamed > self.less / 2
+        return max(held, key=lambda c: c.share) if unsure else None
 
     @property
     def unconfirmed(self) -> str:
@@ -329,7 +334,8 @@ class Answer(Part, frozen=True, kw_only=True):
             # What has no name may as well cancel against the causes.
             if self.unnamed > 0 and percent(self.unnamed) != percent(0.0):
                 change += f", {percent(self.unnamed)} unnamed"
-            if self.noise_measured and (self.closed or 0) >= ALL:
+            # 1 - 5e-4: share of the error beyond a measured noise from which on it is all of it
+            if self.noise_measured and (self.closed or 0) >= (1 - 5e-4):
                 change += ", to the noise"
             elif self.status in ("detected_unexplained", "partly_explained"):
                 change += "; rest unexplained"
@@ -339,11 +345,8 @@ class Answer(Part, frozen=True, kw_only=True):
             return same[0].when == "in both", -math.hypot(*map(self.takes, same))
 
         groups = sorted(self.groups(self.entries), key=order)
-        held = [c for c in self.suspects if c.share == c.share]
-        perhaps = list[str]()
-        if held and self.unnamed > self.less / 2:  # what has a sure name closes the lesser part
-            first = max(held, key=lambda c: c.share)
-            perhaps = [f"perhaps {first.name} {first.place}".rstrip()]
+        first = self.main_suspect
+        perhaps = [] if first is None else [f"perhaps {first.name} {first.place}".rstrip()]
         fewest = 0 if perhaps else 1
         word = "more" if self.since or perhaps else "smaller"
         for most, values in product(range(LARGEST, fewest - 1, -1), MOST_VALUES):
@@ -406,7 +409,7 @@ class Answer(Part, frozen=True, kw_only=True):
             inner = values_of(same, most=values)
         elif size is None or kind:
             inner = f"{digits(math.hypot(*map(self.takes, same)), 2)} {unit_words(self.unit)}"
-        elif size.plain and (len(first.sizes) == 1 or first.effect == "payload"):
+        elif size.plain and (len(first.sizes) == 1 or first.effect == PAYLOAD):
             return f"{size.words} {name}"
         else:
             inner = size.named
@@ -457,7 +460,8 @@ class Answer(Part, frozen=True, kw_only=True):
         out: list[tuple[Cause, ...]] = []
         for same in self.groups([c for c in self.entries if c.law is UNSET]):
             local = [c for c in same if len(c.at) == 1 and c.effect != LINK]
-            many = len(local) > max(1.0, MOST * len(self.joints))
+            # 0.5: share of the joints above which a cause that they have in common is one row
+            many = len(local) > max(1.0, 0.5 * len(self.joints))
             out += [tuple(local)] if many else []
             out += [(c,) for c in same if not any(c is x for x in local)]
         return out
@@ -501,12 +505,12 @@ class Answer(Part, frozen=True, kw_only=True):
 
     @property
     def given(self) -> str:
-        """What the error before is of."""
+        """What the error before is of, in words."""
         return "plain servo" if self.error.startswith("a plain servo") else "as given"
 
     @property
     def title(self) -> str:
-        """Of the table."""
+        """Title of the table."""
         servo = "" if self.given == "as given" else f"; {PLAIN_SERVO}"
         return f"RMS error [{self.unit}] {self.after.whole}{servo}"
 

@@ -17,6 +17,7 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Joint, Part, Real, Values
 from torchid.results.words import (
     BRANCHES,
+    PAYLOAD,
     digits,
     effect_words,
     joints_words,
@@ -27,10 +28,9 @@ from torchid.results.words import (
     unit_behind,
     unit_words,
 )
+from torchid.results.words import LINK as LINK  # asked by all that tell of causes
 from torchid.statistics.criteria import LIKELY
 
-LINK = "link_inertia"
-"""Of inertial parameters."""
 MOST_SIZES = 3
 """Numbers of a cause that are shown in a table."""
 MOST_NAMES = 2
@@ -76,7 +76,7 @@ class JudgedOn(Part, frozen=True, kw_only=True):
 
     @classmethod
     def by_names(cls, names: Iterable[str], how: How) -> "JudgedOn":
-        """Of trajectories' logs, each once."""
+        """Data of trajectories' logs, each named once."""
         return JudgedOn(on=tuple(dict.fromkeys(names)), how=how)
 
     def error(self, value: float, unit: str) -> "Error":
@@ -94,7 +94,7 @@ class JudgedOn(Part, frozen=True, kw_only=True):
 
     @property
     def whole(self) -> str:
-        """The same, with what was done to them: `on run9, which was not fitted`, `on motions left
+        """The words, with what was done to them: `on run9, which was not fitted`, `on motions left
         out of the fit`."""
         if self.how == LEFT_OUT.how:
             return f"{self.words} of the fit"
@@ -188,7 +188,7 @@ class Size:
 
     @property
     def sharp(self) -> "Size":
-        """As rounded, without its standard deviation."""
+        """The number as rounded, without its standard deviation."""
         value = self.value if math.isinf(self.value) else float(self.rounded)
         return replace(self, std=None, value=value)
 
@@ -320,7 +320,7 @@ class Cause(Part, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """In words."""
+        """The cause's name, in words."""
         if self.branch:
             likely = f"likely {msgspec.structs.replace(self, branch='').name}"
             return f"{self.kind} ({f'one of {self.any_of}' if self.any_of else likely})"
@@ -336,10 +336,10 @@ class Cause(Part, frozen=True, kw_only=True):
         alone. Of a law `1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`."""
         if self.law is not UNSET:
             return self.law.words(std)
-        massless = self.effect == "payload" and any(not s.determined for s in self.sizes[:1])
+        massless = self.effect == PAYLOAD and any(not s.determined for s in self.sizes[:1])
         when = "" if self.window is UNSET else f", {self.window.words}"
         end = "; mass not known" * massless + when
-        sizes = self.known[: 1 if self.effect == "payload" else MOST_SIZES]
+        sizes = self.known[: 1 if self.effect == PAYLOAD else MOST_SIZES]
         if not sizes:
             return "" if math.isnan(self.share) else f"{percent(self.share)} of the error{end}"
         return ", ".join(map(self.in_words, sizes if std else (sizes[0].sharp,))) + end
@@ -364,8 +364,11 @@ class Cause(Part, frozen=True, kw_only=True):
 def values_of(same: Sequence[Cause], most: int | None = None) -> str:
     """The main number of causes of one name, joint by joint: `60 -> 15, 20, 12 N m s/rad`, with its
     name where they have several or it has no unit; of more than `most` joints the least and the
-    largest."""
-    size = max(same, key=lambda c: c.share if c.share == c.share else 0.0).sizes[0]
+    largest. Nothing while none has a number."""
+    sized = [c for c in same if c.sizes]
+    if not sized:
+        return ""
+    size = max(sized, key=lambda c: c.share if c.share == c.share else 0.0).sizes[0]
     by_joint = sorted(same, key=lambda c: c.at)
     own = [next((s for s in c.sizes if s.name == size.name), None) for c in by_joint]
     if most is not None and len(own) > most:

@@ -23,7 +23,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.feasibility/1": "torchid.feasibility.record:FeasibilityRecord",
     "torchid.payload/1": "torchid.identification.payload:Payload",
     "torchid.gap/2": "torchid.gap.record:GapRecord",
-    "torchid.pair/1": "torchid.pair.record:PairRecord",
+    "torchid.pair/2": "torchid.pair.record:PairRecord",
     "torchid.position_gap/1": "torchid.position.record:PositionRecord",
     "torchid.position_motion/1": "torchid.position.next_motion:NextCommandsRecord",
     "torchid.replay/1": "torchid.position.replay:ReplayRecord",
@@ -41,6 +41,7 @@ RECORDS = other_packages.RECORDS | {
 OLDER = {
     "torchid.gap/1": ("torchid.gap/2", "torchid.gap.older:from_first"),
     "torchid.position_gap/1": ("torchid.position_gap/1", "torchid.gap.older:of_positions"),
+    "torchid.pair/1": ("torchid.pair/2", "torchid.gap.older:of_pair"),
 }
 """Schemas of files of older versions: what they are now, and what makes them so."""
 

@@ -9,9 +9,6 @@ from msgspec import UNSET, UnsetType
 from torchid.results.record import Col, Joint, Part, Real
 from torchid.results.words import digits, measure, percent, sure, unit_behind
 
-LEAST = 0.05
-"""Probability of a detail from which on it is said."""
-
 
 class FrictionDetail(Part, frozen=True, kw_only=True):
     """One detail of a law.
@@ -123,7 +120,7 @@ class FrictionLaw(Part, frozen=True, kw_only=True):
 
     @property
     def brief(self) -> "FrictionLaw":
-        """Without its curve."""
+        """The law without its curve."""
         return msgspec.structs.replace(self, curve=UNSET)
 
     def has(self, effect: str) -> bool:

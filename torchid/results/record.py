@@ -48,7 +48,6 @@ Value = str | bool | int | float | list[str | float | list[float | None] | None]
 Values = dict[str, Value]
 """An effect's record, or a part of one: coefficients, shapes and places by name."""
 
-_MOST_ROWS = 60
 _PLACE = re.compile(r" - at `\$([^`]*)`")
 _T = TypeVar("_T")
 _P = TypeVar("_P", bound=msgspec.Struct)
@@ -132,8 +131,9 @@ class Rows(tuple[_T, ...]):
 
     def _repr_html_(self) -> str:
         rows = self.plain()
-        cells = ([_cell(value) for value in row.values()] for row in rows[:_MOST_ROWS])
-        more = f"<p>and {len(rows) - _MOST_ROWS} more</p>" if len(rows) > _MOST_ROWS else ""
+        most_rows = 60
+        cells = ([_cell(value) for value in row.values()] for row in rows[:most_rows])
+        more = f"<p>and {len(rows) - most_rows} more</p>" if len(rows) > most_rows else ""
         return html_table(rows[0] if rows else (), cells) + more
 
 
@@ -257,7 +257,7 @@ class Record(Part, Result, frozen=True, eq=False, kw_only=True, tag_field="schem
 
     @property
     def record(self) -> Self:
-        """Itself."""
+        """The record itself, as results have one."""
         return self
 
     @property
@@ -441,7 +441,7 @@ def _endless(bounds: Any) -> Any:
 
 
 def _cell(value: Any) -> str:
-    """Of a table in a notebook."""
+    """Text of a cell of a table in a notebook."""
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):

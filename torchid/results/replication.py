@@ -19,9 +19,6 @@ from torchid.robot.knowledge import BETWEEN
 from torchid.statistics.criteria import SAME_FACTOR, TELLING_STD
 from torchid.typing import Bool, Tensor
 
-LEVEL = 0.05
-"""Share of logs whose runs agree of which it is said that they do not [1]."""
-
 
 def replication_of(scales: Sequence[MotionScale]) -> Replication | None:
     """The factors of all parts together; None where fewer than two can tell."""
@@ -70,7 +67,8 @@ def agreement_of(causes: Iterable[Cause]) -> Rows[RunValue]:
     rows = []
     for cause, size, runs, told in asked:
         x, v = torch.tensor(list(told.values()), dtype=torch.float64).unbind(1)
-        apart = dict(zip(told, _apart(x, v, LEVEL / len(asked)).tolist(), strict=True))
+        # 0.05: share of logs whose runs agree of which it is said that they do not
+        apart = dict(zip(told, _apart(x, v, 0.05 / len(asked)).tolist(), strict=True))
         mean, mean_std, spread = _merged(x, v)
         # A factor is of what was found beside what was known before.
         was = size.was or 0.0

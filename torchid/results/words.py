@@ -12,6 +12,9 @@ BRANCHES = {
 }
 """Branches of the tree of causes (`torchid.effects.base.Branch`)."""
 
+LINK, PAYLOAD = "link_inertia", "payload"
+"""Names of causes that are bodies, of which sentences say less or in another way."""
+
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
@@ -19,7 +22,7 @@ def effect_words(name: str) -> str:
     """`coulomb_friction` as `Coulomb friction`; `encoder_offset 3` and `link_inertia 3` as `encoder
     offset on joint 3` and `inertia of link 3`."""
     effect, _, number = name.partition(" ")
-    if number and effect == "link_inertia":
+    if number and effect == LINK:
         return f"inertia of link {number}"
     words = " ".join(_PROPER.get(word, word) for word in effect.split("_"))
     return f"{words} on joint {number}" if number else words
@@ -114,7 +117,7 @@ def sure(value: float | None) -> str:
 
 
 def interval(ends: tuple[float, float]) -> str:
-    """Of fractions, in percent: `[90, 95]`."""
+    """An interval of fractions, in percent: `[90, 95]`."""
     low, high = (percent(x).removesuffix(" %") for x in ends)
     return f"[{low}, {high}]"
 

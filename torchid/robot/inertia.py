@@ -178,7 +178,7 @@ def parallel_axis(mass: Float[Tensor, "*batch"], com: Vector3) -> Inertia6:
 def move(
     parameters: Float[Tensor, "*#batch 10"], transform: Float[Tensor, "*#batch 4 4"]
 ) -> Float[Tensor, "*batch 10"]:
-    """The same body seen from another frame.
+    """A body as it is seen from another frame.
 
     Args:
         parameters: (..., 10) in frame B.

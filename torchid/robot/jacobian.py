@@ -8,9 +8,6 @@ from torchid.errors import RobotError
 from torchid.robot.model import JointType, Robot, Tip, link_poses
 from torchid.typing import Float, Joints, Tensor
 
-_TOGETHER = 2000
-"""Configurations at a time [1]: the poses of an arm of seven joints then stay in the cache."""
-
 
 def tool_jacobian(
     robot: Robot, q: Joints, tip: str | Tip | None = None
@@ -32,7 +29,8 @@ def tool_jacobian(
         RobotError: several tips and none chosen, or none of that name.
     """
     end = tip if isinstance(tip, Tip) else robot.end(tip)
-    parts = [_jacobian(robot, end, some) for some in q.reshape(-1, robot.n).split(_TOGETHER)]
+    # 2000: configurations at a time: the poses of an arm of seven joints then stay in the cache
+    parts = [_jacobian(robot, end, some) for some in q.reshape(-1, robot.n).split(2000)]
     return torch.cat(parts).reshape(*q.shape[:-1], 6, robot.n)
 
 

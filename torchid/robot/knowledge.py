@@ -30,8 +30,6 @@ KEYS = ("sources", "coefficients", "rows", "left", "between_sessions", "log")
 `between_sessions` has a text a coefficient, its name and a number; `log` are a file and its
 SHA-256."""
 
-ROUNDING = 1e-6
-"""Relative difference below which two columns, evaluated by two ways, are one."""
 
 NOTHING = 1e-10
 """Singular value, columns of length one, below which a direction is not known: rounding."""
@@ -120,7 +118,7 @@ class Knowledge:
         return replace(self, coefficients=tuple(coefficients), root=out)
 
     def without(self, coefficients: Sequence[str], links: Sequence[int] = ()) -> "Knowledge":
-        """The same, of some coefficients and links nothing known any more: they have changed.
+        """This knowledge, of some coefficients and links nothing any more: they have changed.
 
         Args:
             coefficients: names.
@@ -133,7 +131,7 @@ class Knowledge:
         return replace(self, root=self._eliminated(gone))
 
     def merged(self, coefficients: Sequence[str], link: int) -> "Knowledge":
-        """The same of an arm whose link holds a body as well: what is known of the two together.
+        """Knowledge of an arm whose link holds a body as well: what is known of the two together.
 
         Args:
             coefficients: names of the body's ten.
@@ -144,7 +142,8 @@ class Knowledge:
         body, both = root[:, own], root[:, first : first + PARAMETERS_PER_LINK]
         # Beside their sum the body alone: rounding, where nothing but a log told of it.
         alone = body - both
-        apart = alone.norm(dim=0) > ROUNDING * (body.norm(dim=0) + both.norm(dim=0))
+        # 1e-6: relative difference below which two columns, evaluated by two ways, are one
+        apart = alone.norm(dim=0) > 1e-6 * (body.norm(dim=0) + both.norm(dim=0))
         root[:, own] = alone * apart
         rest = [name for name in self.coefficients if name not in coefficients]
         return replace(self, root=root).over(rest)

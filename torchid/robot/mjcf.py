@@ -19,7 +19,7 @@ from torchid.robot.assemble import assemble
 from torchid.robot.mjcf_files import require_end
 from torchid.robot.model import Robot
 from torchid.robot.placement import pose, quaternion
-from torchid.robot.spec import FAILURES, listening, name_parts, spec_tree
+from torchid.robot.spec import FAILURES, SET_POINT, listening, name_parts, spec_tree
 from torchid.robot.tree import Base, Choice, Following, Tree, choose
 from torchid.robot.xml_numbers import parse_xml
 
@@ -206,9 +206,10 @@ def _mimics(spec: Any, model: Any) -> dict[str, Following]:
 def _not_modelled(spec: Any, model: Any, mimics: int, without_gravity: bool) -> list[str]:
     """Sentences on what the model holds and a Robot does not."""
     rest = sum(bool(equality.active) for equality in spec.equalities) - mimics
+    tendons = [t for t in spec.tendons if not t.name.startswith(SET_POINT)]
     others = {
         f"{rest} equality constraint(s) are not modelled": rest,
-        f"{model.ntendon} tendon(s) are not modelled": model.ntendon,
+        f"{len(tendons)} tendon(s) are not modelled": tendons,
         "gravity compensation of bodies (gravcomp) counts where commands are replayed; torques "
         "of a log hold gravity, unless it is read as one without": (model.body_gravcomp.any()),
         "forces of the surrounding fluid (density, viscosity) are not modelled": (
@@ -273,6 +274,10 @@ def mjcf_servos(path: Path, joints: Iterable[str]) -> list[dict[str, float]]:
         joint, gear = int(model.actuator_trnid[a, 0]), float(model.actuator_gear[a, 0])
         if int(model.actuator_trntype[a]) == int(kinds.mjTRN_TENDON):
             first, count = int(model.tendon_adr[joint]), int(model.tendon_num[joint])
+            if count == 2 and model.tendon(joint).name.startswith(SET_POINT):
+                joint = int(model.wrap_objid[first])
+                found[joint] = [_with_set_point(model, _servo(model, a, joint, gear), joint)]
+                continue
             if count != 1 or int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT):
                 continue
             joint, gear = int(model.wrap_objid[first]), gear * float(model.wrap_prm[first])
@@ -313,3 +318,24 @@ def _servo(model: Any, actuator: int, joint: int, gear: float) -> dict[str, floa
     if int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE):
         values["lag"] = model.actuator_dynprm[actuator, 0]
     return {name: float(value) for name, value in values.items()}
+
+
+def _with_set_point(model: Any, values: dict[str, float], joint: int) -> dict[str, float]:
+    """Values of a servo that answers to the rate of its error, with what its set point has: the
+    limit of acceleration, and the factor on the command."""
+    name = f"{SET_POINT}{model.joint(joint).name}"
+    point = model.joint(name)
+    (drive,) = [
+        a
+        for a in range(model.nu)
+        if int(model.actuator_trntype[a]) == int(mujoco.mjtTrn.mjTRN_JOINT)
+        and int(model.actuator_trnid[a, 0]) == point.id
+        and model.actuator_gainprm[a, 0]
+    ]
+    kd = values["damping"] - float(model.dof_damping[model.jnt_dofadr[joint]])
+    values = values | {"kd": kd, "damping": values["damping"] - kd}
+    values.pop("damping_share", None)
+    inertia = float(model.body_inertia[point.bodyid[0], 0])
+    scale = -model.actuator_gainprm[drive, 0] / model.actuator_biasprm[drive, 1]
+    limit = float(model.jnt_actfrcrange[point.id, 1])
+    return values | {"scale": float(scale), "acceleration": limit / inertia}

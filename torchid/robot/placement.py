@@ -10,13 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-_EXACT = 1e-15
-
 
 def exact(matrix: Tensor) -> Tensor:
     """Entries within rounding of -1, 0, 1 made exactly that."""
     nearest = matrix.round().clamp(-1, 1)
-    return torch.where((matrix - nearest).abs() < _EXACT, nearest, matrix)
+    # 1e-15: rounding of a sine or cosine
+    return torch.where((matrix - nearest).abs() < 1e-15, nearest, matrix)
 
 
 def pose(rotation: Tensor | None = None, position: Sequence[float] | Tensor = (0, 0, 0)) -> Tensor:

@@ -16,7 +16,6 @@ from torchid.typing import Float, Tensor
 MESH_SUFFIXES = (".stl", ".obj")
 """Suffixes of the mesh files that are read."""
 
-_STL_HEADER = 84
 _STL_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _STL_VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.MULTILINE | re.IGNORECASE)
 _OBJ_VERTEX = re.compile(rb"^\s*v\s+(\S+)\s+(\S+)\s+(\S+)", re.MULTILINE)
@@ -75,10 +74,11 @@ def mesh_vertices(path: Path) -> np.ndarray:
 
 def _stl(data: bytes) -> np.ndarray:
     # Binary files may begin with "solid" too; their length says what they are.
-    if len(data) >= _STL_HEADER:
-        count = int.from_bytes(data[_STL_HEADER - 4 : _STL_HEADER], "little")
-        if len(data) == _STL_HEADER + count * _STL_FACE.itemsize:
-            faces = np.frombuffer(data, _STL_FACE, count, _STL_HEADER)
+    stl_header = 84
+    if len(data) >= stl_header:
+        count = int.from_bytes(data[stl_header - 4 : stl_header], "little")
+        if len(data) == stl_header + count * _STL_FACE.itemsize:
+            faces = np.frombuffer(data, _STL_FACE, count, stl_header)
             return faces["corners"].reshape(-1, 3).astype(np.float64)
     if not data.lstrip().lower().startswith(b"solid"):
         raise ValueError("neither binary of that length nor ASCII")

@@ -23,6 +23,8 @@ from torchid.robot.tree import Following, Interval, Tree, TreeJoint
 FAILURES = (ValueError, RuntimeError, mujoco.FatalError)
 """What MuJoCo raises of a file that it cannot read."""
 
+SET_POINT = "torchid_set_point_"
+"""Before a joint's name: body and joint that are its servo's set point, and no part of the arm."""
 _SHORTEST_AXIS = 1e-12
 _MOTIONS = {
     mujoco.mjtJoint.mjJNT_HINGE: JointType.REVOLUTE,
@@ -72,6 +74,8 @@ def spec_tree(
     links: dict[str, Tensor | None] = {spec.worldbody.name: None}
     joints: list[TreeJoint] = []
     for body in sorted(spec.bodies[1:], key=lambda body: body.id):
+        if body.name.startswith(SET_POINT):
+            continue
         links[body.name] = reader.inertial(body)
         steps = reader.steps(body)
         joints.extend(steps)

@@ -27,8 +27,6 @@ from torchid.robot.yaml_values import number, numbers, text_and_content
 from torchid.typing import Float
 
 CONVENTIONS = ("classical", "modified")
-_ORTHONORMAL = 1e-6
-"""How far a rotation that was typed with a few digits may be from one."""
 
 _Some = msgspec.Meta(min_length=1)
 
@@ -190,8 +188,8 @@ def _of_dh(table: _Dh, source: str) -> dict[str, Any]:
 
 
 def _of_placements(table: _Placements, source: str) -> dict[str, Any]:
-    """The same of joints that are placed one by one, with what carries each, what follows another,
-    and the tips."""
+    """Kinematics of joints that are placed one by one, with what carries each, what follows
+    another, and the tips."""
     rows = [(i, row, f"{source}: joint {i + 1}") for i, row in enumerate(table.joints)]
     poses = [
         (_pose(row.before, f"{where}: before"), _pose(row.after, f"{where}: after"))
@@ -276,7 +274,8 @@ def _pose(data: _Pose, where: str) -> Tensor:
     if data.rotation is not UNSET:
         rotation = numbers(data.rotation, (3, 3), f"{where}.rotation")
         error = (rotation @ rotation.T - torch.eye(3, dtype=torch.float64)).abs().max()
-        if error > _ORTHONORMAL or torch.linalg.det(rotation) < 0:
+        # 1e-6: how far a rotation that was typed with a few digits may be from one
+        if error > 1e-6 or torch.linalg.det(rotation) < 0:
             raise RobotError(
                 f"{where}.rotation: not a rotation.",
                 got=data.rotation,

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchid.dynamics.world_frame import arms_of
-from torchid.effects.base import ModelEffect, Motion
+from torchid.effects.base import Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import Log
@@ -17,10 +17,6 @@ from torchid.simulation.course import Course, course
 from torchid.simulation.integrate import LONGEST_STEP, Drive, Plant
 from torchid.simulation.loads import BatchEffects
 from torchid.typing import Float
-
-MOST_SAMPLES = 1e7
-INERTIA_CHECKS = 50
-"""Instants of a reference at which the arm's inertia is looked at."""
 
 
 def closed_loop(
@@ -65,7 +61,8 @@ def closed_loop(
     if not 0 < rate < math.inf:
         raise TorchidError("a sampling rate is a frequency.", got=rate, expected="> 0 Hz")
     longest = max(float(log.t[-1] - log.t[0]) for log in references)
-    if longest * rate > MOST_SAMPLES:
+    # 1e7: samples that memory bears
+    if longest * rate > 1e7:
         raise TorchidError(
             "the simulated log would have more than ten million samples.",
             got=f"{longest:g} s at {rate:g} Hz",
@@ -99,13 +96,16 @@ def closed_loop(
 def plant_of(robot: Robot, effects: Sequence[Sequence[Valued]], like: Tensor) -> Plant:
     """Arms as they are: the robot with its nominal effects and with those of each arm.
 
+    Arms with equal effects are one, so that a step is recorded once for all of them.
+
     Args:
         robot: the nominal one.
         effects: one list an arm.
         like: dtype and device.
     """
     nominal = nominal_effects(robot)
-    every = [[*nominal, *own] for own in effects]
+    alike = all(own == effects[0] for own in effects)
+    every = [[*nominal, *own] for own in (effects[:1] if alike else effects)]
     bodies = [_body(robot, own) for own in every]
     same = all(body is robot for body in bodies)
     robots = (robot,) if same else tuple(bodies)
@@ -114,8 +114,7 @@ def plant_of(robot: Robot, effects: Sequence[Sequence[Valued]], like: Tensor) ->
 
 def _body(robot: Robot, effects: Sequence[Valued]) -> Robot:
     for effect, values in effects:
-        if isinstance(effect, ModelEffect):
-            robot = effect.plant(robot, values)
+        robot = effect.plant(robot, values)
     return robot
 
 
@@ -207,7 +206,8 @@ def _check_inertia(plant: Plant, q: Float[Tensor, "B T n"], references: Sequence
     coupled motor without that of its own joint): no body moves like that."""
     if not bool(plant.effects.inertia.any()):
         return
-    for k in torch.linspace(0, q.shape[1] - 1, INERTIA_CHECKS, dtype=torch.float64).long().tolist():
+    # 50: instants of a reference at which the arm's inertia is looked at
+    for k in torch.linspace(0, q.shape[1] - 1, 50, dtype=torch.float64).long().tolist():
         mass = plant.arms.at(q[:, k]).mass_matrix() + plant.effects.inertia
         bad = torch.linalg.cholesky_ex(mass)[1] > 0
         if bool(bad.any()):

@@ -8,17 +8,10 @@ from torch import Tensor
 
 from torchid.dynamics.forward import mass_matrix
 from torchid.effects.base import Motion
-from torchid.effects.inertia import RotorInertia
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
 from torchid.typing import Float
-
-_SMALLEST_SHARE = 0.02
-"""Of the largest joint inertia: gains of light joints are not smaller than for this much, as
-friction would hold them."""
-
-_SAMPLES = 200  # of the reference, for the mean inertia
 
 
 @dataclass(frozen=True)
@@ -59,12 +52,15 @@ class Controller:
             RobotError: the robot has no nominal parameters.
         """
         places = q.reshape(-1, robot.n)
-        places = places[:: max(1, len(places) // _SAMPLES)]
+        # 200: of the reference, for the mean inertia
+        places = places[:: max(1, len(places) // 200)]
         inertia = mass_matrix(robot, places).diagonal(dim1=-2, dim2=-1).mean(0).abs()
         for effect, values in nominal_effects(robot):
-            if isinstance(effect, RotorInertia):
-                inertia[effect.joint] += values[0]
-        inertia = inertia.clamp(min=_SMALLEST_SHARE * float(inertia.max()))
+            if armature := (effect.attributes(values) or {}).get("armature"):
+                inertia[effect.joints[0]] += armature
+        # 0.02: of the largest joint inertia: gains of light joints are not smaller than for this
+        # much, as friction would hold them
+        inertia = inertia.clamp(min=0.02 * float(inertia.max()))
         w = 2 * math.pi * self.natural_frequency
         return w * w * inertia, 2 * self.damping * w * inertia
 

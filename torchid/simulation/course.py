@@ -21,14 +21,8 @@ from torchid.dynamics.straight_line import Code, NoStraightLineError, straight_l
 from torchid.simulation.integrate import Drive, Instant, Plant, State, held
 from torchid.typing import Bool, Float
 
-FEWEST_STEPS = 100
-"""Steps that take as long as recording one."""
-
 MOST_ALONE = 8
 """Arms that are stepped one after the other on floats; more are stepped together."""
-
-_TOLERANCE = 1e-9  # of a signal's largest value in the comparison
-_SAMPLES = 4  # states of the comparison
 
 
 class Course(NamedTuple):
@@ -72,7 +66,7 @@ class _Task(NamedTuple):
         return Course(signals, torch.zeros(rows, arms, dtype=torch.bool))
 
     def arm(self, k: int) -> "_Task":
-        """Of one of the arms."""
+        """The course of one of the arms."""
         now, limit = self.state, self.drive.limit
         own = slice(k, k + 1)
         state = State(
@@ -118,7 +112,8 @@ def course(
     """
     task = _Task(plant, state, drive, feeds, t, h, keep == "states", every, first)
     arms = feeds.shape[1]
-    if len(feeds) < FEWEST_STEPS or feeds.device.type != "cpu" or feeds.dtype != torch.float64:
+    # 100: steps that take as long as recording one
+    if len(feeds) < 100 or feeds.device.type != "cpu" or feeds.dtype != torch.float64:
         return _on_tensors(task)
     if plant.alike and arms > MOST_ALONE:
         return _run(task)
@@ -193,7 +188,7 @@ def _gains(drive: Drive) -> list[Tensor]:
 
 
 def _outputs(after: State, instant: Instant) -> list[Tensor]:
-    """Of recorded code."""
+    """What is recorded of a step: its state, and the instant in its middle."""
     return [*_signals(after), instant.q, instant.dq, instant.torque, held(after)]
 
 
@@ -254,7 +249,7 @@ def _elements(signals: Sequence[Tensor], arms: int) -> list[Any]:
 
 
 def _state_of(x: Sequence[Any], like: State, alive: Tensor) -> State:
-    """The reverse."""
+    """A state from the rows that recorded code fills."""
     arms, n = len(alive), like.q.shape[1]
     whole = np.stack([np.broadcast_to(e, arms) for e in x], -1).reshape(arms, -1, n)
     q, dq, ddq, *memory = torch.from_numpy(whole).unbind(1)
@@ -265,27 +260,30 @@ def _same(code: Code, task: _Task) -> bool:
     """Whether code does what the step does, near the beginning and with torques of the way."""
     generator = torch.Generator().manual_seed(0)
     sizes = (0.3, 1.0, 1.0, *[0.1] * len(task.state.memory))
-    shape = _SAMPLES, task.feeds.shape[2]
+    # states of the comparison
+    samples = 4
+    shape = samples, task.feeds.shape[2]
     signals = [
         x[:1] + size * torch.randn(shape, generator=generator, dtype=x.dtype)
         for x, size in zip(_signals(task.state), sizes, strict=True)
     ]
-    some = torch.linspace(0, len(task.feeds) - 1, _SAMPLES).long()
+    some = torch.linspace(0, len(task.feeds) - 1, samples).long()
     gains = [x[:1].expand(shape) for x in _gains(task.drive)]
     given = [*signals, task.t[:1] + some * task.h, task.feeds[some, 0], *gains]
     there = task.drive.damping is not None, task.drive.stiffness is not None
     state, t, drive = _unpacked(given, len(signals) - 3, there, task.drive.limit)
     wanted = torch.cat(
-        [x.reshape(_SAMPLES, -1) for x in _outputs(*task.plant.unguarded(state, task.h, t, drive))],
+        [x.reshape(samples, -1) for x in _outputs(*task.plant.unguarded(state, task.h, t, drive))],
         1,
     )
-    run, flat = code.on_arrays, _elements(given, _SAMPLES)
+    run, flat = code.on_arrays, _elements(given, samples)
     if task.feeds.shape[1] > 1:
-        rows = np.stack([np.broadcast_to(e, _SAMPLES) for e in run(*flat)], 1)
+        rows = np.stack([np.broadcast_to(e, samples) for e in run(*flat)], 1)
     else:
         try:
-            rows = np.array([code.on_floats(*(float(e[k]) for e in flat)) for k in range(_SAMPLES)])
+            rows = np.array([code.on_floats(*(float(e[k]) for e in flat)) for k in range(samples)])
         except (ArithmeticError, ValueError):
             return False
-    bound = _TOLERANCE * wanted.abs().amax(0).clamp(min=1.0)
+    # 1e-9: of a signal's largest value in the comparison
+    bound = 1e-9 * wanted.abs().amax(0).clamp(min=1.0)
     return bool(((torch.from_numpy(rows.astype(float)) - wanted).abs() <= bound).all())

@@ -35,11 +35,7 @@ from torchid.simulation.loads import BatchEffects
 LONGEST_STEP = 2e-3
 """Seconds; longer intervals between samples are divided."""
 
-RUNAWAY_SPEED = 1e3
-"""Speed at which an arm has diverged [rad/s or m/s]."""
 
-_PASSES = 2
-_LEAST_PIVOT = 1e-6  # share of a diagonal entry that elimination may leave of it
 _MOST_CHANGES = 12  # of the set of joints that stick; three suffice but for pathological couplings
 
 
@@ -115,7 +111,7 @@ class Plant:
         return len(self.robots) == 1 and len(self.effects.inertia) == 1
 
     def alone(self, arm: int) -> "Plant":
-        """One of the arms."""
+        """The plant of one of the arms."""
         if self.alike:
             return self
         robot = self.robots[min(arm, len(self.robots) - 1)]
@@ -143,7 +139,8 @@ class Plant:
         mass = posture.mass_matrix() + self.effects.inertia
         instant = Instant(q, state.dq + h / 2 * state.ddq, state.ddq, state.dq)
         change = torch.zeros_like(q)
-        for _ in range(_PASSES):
+        # 2: passes, the second with what the first one found
+        for _ in range(2):
             instant, change = self._pass(state, h, t, drive, posture, mass, instant)
         dq = state.dq + change
         motion = Motion(q, (state.dq + dq) / 2, instant.ddq, t=t, torque=instant.torque)
@@ -203,7 +200,8 @@ def _solved(matrix: Tensor, right: Tensor) -> Tensor:
 
 
 def _active_set(xp: Any, solved: Any, matrix: Any, impulse: Any, dry: Any, dq: Any) -> Any:
-    """The same with arms on the last axis, for the tensors of `torch` or the arrays of `numpy`."""
+    """The active set with arms on the last axis, for the tensors of `torch` or the arrays of
+    `numpy`."""
     has_dry = dry > 0
     if not bool(has_dry.any()):
         return solved(matrix, impulse)
@@ -267,7 +265,8 @@ def _of_one(
 
 def _checked(solved: tuple[float, ...]) -> tuple[float, ...]:
     """The solution, where elimination without exchanges of rows lost no digits."""
-    if solved[-1] < _LEAST_PIVOT:
+    # 1e-6: share of a diagonal entry that elimination may leave of it
+    if solved[-1] < 1e-6:
         raise ArithmeticError
     return solved[:-1]
 
@@ -332,4 +331,5 @@ def kept(before: State, after: State) -> State:
 
 def held(state: State) -> Tensor:
     """Whether arms (B,) have not diverged in a step."""
-    return (state.dq.abs().amax(-1) < RUNAWAY_SPEED) & state.q.isfinite().all(-1)
+    # 1e3: speed at which an arm has diverged [rad/s or m/s]
+    return (state.dq.abs().amax(-1) < 1e3) & state.q.isfinite().all(-1)

@@ -61,7 +61,7 @@ class Kind:
         return "torque" in self.kind.needs
 
     def alone(self, arm: int) -> "Kind":
-        """That of one arm."""
+        """The effect on one arm alone."""
         shapes = tuple(shape[arm : arm + 1] for shape in self.shapes)
         return replace(self, coefficients=self.coefficients[arm : arm + 1], shapes=shapes)
 
@@ -102,7 +102,7 @@ class Single:
         return "torque" in self.effect.needs
 
     def alone(self, arm: int) -> "Single":
-        """That of one arm."""
+        """The effect on one arm alone."""
         return replace(self, coefficients=self.coefficients[arm : arm + 1])
 
     def torque(self, motion: Motion) -> Tensor:
@@ -167,7 +167,7 @@ class BatchEffects:
         self.needs_torque = any(group.loaded for group in [*self._plain, *self._memory])
 
     def alone(self, arm: int) -> "BatchEffects":
-        """Those of one of the arms."""
+        """The effects of one of the arms."""
         own = copy.copy(self)
         own.inertia = self.inertia[arm : arm + 1]
         own._plain = [group.alone(arm) for group in self._plain]
@@ -253,15 +253,12 @@ Slots = dict[tuple[int, int], tuple[JointEffect, list[float]]]
 
 def adds_torque(effect: Effect) -> bool:
     """Whether an effect neither changes the arm's bodies nor what is measured."""
-    return not changes_measurement(effect) and (
-        isinstance(effect, JointEffect) or type(effect).plant is ModelEffect.plant  # type: ignore[attr-defined]
-    )
+    return not changes_measurement(effect) and type(effect).plant is Effect.plant
 
 
 def changes_measurement(effect: Effect) -> bool:
     """Whether it is in the sensors: it has a `measured` of its own."""
-    own = getattr(type(effect), "measured", None)
-    return own is not None and own is not ModelEffect.measured
+    return type(effect).measured is not Effect.measured
 
 
 def _is_plain(effect: JointEffect) -> bool:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchid.effects.base import Effect, ModelEffect, Motion
+from torchid.effects.base import Effect, Motion
 from torchid.effects.registry import Valued, nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
@@ -143,8 +143,8 @@ def _affine(
     q, dq, ddq, torque = torch.randn(4, samples, n, generator=g, dtype=torch.float64)
     t = torch.arange(samples, dtype=torch.float64) * 1e-3
     motion = Motion(q, dq, ddq, t=t, torque=10 * torque)
-    assert isinstance(effect, ModelEffect) or hasattr(effect, "measured")
     seen = effect.measured(motion, values, robot)
+    assert seen.torque is not None
     ones = torch.cat([10 * torque, torch.ones(samples, 1, dtype=torch.float64)], -1)
     fit = torch.linalg.lstsq(ones, seen.torque).solution
     moved = (seen.q - q)[0]

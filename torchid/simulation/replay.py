@@ -13,9 +13,6 @@ from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import STEP, Tracks, Windows, rollout
 from torchid.typing import Float
 
-FARTHEST = 50.0
-"""Position beyond which an arm has run away [rad]."""
-
 
 def replayed(
     robot: Robot,
@@ -50,7 +47,8 @@ def replayed(
         batch, robot, tracks, windows, q, dq, measured=measured, longest_step=longest_step
     )[..., 0]
     motion = windows.on_rows(out, tracks.u.clone())
-    if not bool((motion.abs() < FARTHEST).all()):
+    # 50.0: position beyond which an arm has run away [rad]
+    if not bool((motion.abs() < 50.0).all()):
         raise TorchidError(
             "the arm runs away from these commands.",
             hint="the model's gains are not of this robot, or its commands in another unit",

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from torchid.effects.base import Motion
 from torchid.effects.registry import Valued
-from torchid.effects.transient import DroppedSamples
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import Log
 from torchid.robot.model import Robot
@@ -109,7 +108,7 @@ def sensed_log(robot: Robot, log: Log, effects: Sequence[Valued]) -> Log:
         motion = Motion(part.q, part.dq, part.ddq, t=part.t - part.t[0], torque=part.tau)
         for effect, values in effects:
             if changes_measurement(effect):
-                motion = effect.measured(motion, values, robot)  # type: ignore[attr-defined]
+                motion = effect.measured(motion, values, robot)
         q, dq, ddq = motion.state
         parts.append(part.replace(q=q, dq=dq, ddq=ddq, tau=motion.torque))
     return Log.concatenate(parts).replace(source=log.source)
@@ -135,8 +134,8 @@ def measured_log(
         TorchidError: the noise does not fit the robot or the sampling rate.
     """
     generator = torch.Generator().manual_seed(seed)
-    lost = [pair for pair in effects if isinstance(pair[0], DroppedSamples)]
-    others = [pair for pair in effects if not isinstance(pair[0], DroppedSamples)]
+    lost = [pair for pair in effects if pair[0].after_noise]
+    others = [pair for pair in effects if not pair[0].after_noise]
     seen = sensed_log(robot, log, others)
     parts = [_measured(robot, part, sensors, generator) for part in seen.trajectories()]
     return Log.concatenate([_held(p, lost) for p in parts]).replace(source=log.source)
@@ -147,7 +146,7 @@ def _held(log: Log, lost: Sequence[Valued]) -> Log:
     assert log.tau is not None
     motion = Motion(log.q, log.q, log.q, t=log.t - log.t[0], torque=log.tau)
     for effect, values in lost:
-        motion = effect.measured(motion, values)  # type: ignore[attr-defined]
+        motion = effect.measured(motion, values)
     return log.replace(tau=motion.torque)
 
 

@@ -13,75 +13,13 @@ external torque).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import INDEX, NAMES, PARAMETERS, PLANE
 from torchid.errors import TorchidError
 from torchid.typing import Float
-
-Kind = Literal["log", "positive", "real"]
-
-
-@dataclass(frozen=True)
-class ServoParameter:
-    """One number of a joint's servo.
-
-    Attributes:
-        name, unit, meaning: of the parameter; units of a revolute joint.
-        neutral: value without effect.
-        start: where a search begins.
-        kind: `log` is searched on a logarithmic scale, `positive` stays at or above zero.
-    """
-
-    name: str
-    unit: str
-    meaning: str
-    neutral: float
-    start: float
-    kind: Kind = "log"
-
-
-_INF = float("inf")
-PARAMETERS = (
-    ServoParameter("kp", "N m/rad", "torque a position error makes", 0.0, 15.0),
-    ServoParameter("kd", "N m s/rad", "torque a rate of the position error makes", 0.0, 0.3),
-    ServoParameter("integral", "N m/(rad s)", "torque a lasting error adds a second", 0.0, 15.0),
-    ServoParameter("damping", "N m s/rad", "viscous friction and back-EMF", 0.0, 0.6),
-    ServoParameter("armature", "kg m^2", "inertia of the rotor, reflected", 0.0, 0.03),
-    ServoParameter("delay", "s", "from the command's stamp to its effect", 0.0, 0.02, "positive"),
-    ServoParameter("offset", "N m", "constant torque", 0.0, 0.0, "real"),
-    ServoParameter("coulomb", "N m", "dry friction in motion", 0.0, 0.08),
-    ServoParameter("stiction", "N m", "more dry friction at rest", 0.0, 0.05, "positive"),
-    ServoParameter("stribeck_speed", "rad/s", "where stiction fades", 1.0, 0.08),
-    ServoParameter("motor_share", "1", "friction per motor torque", 0.0, 0.1, "positive"),
-    ServoParameter("load_share", "1", "friction per external torque", 0.0, 0.1, "positive"),
-    ServoParameter("acceleration", "rad/s^2", "limit of the set-point", _INF, 40.0),
-    ServoParameter("speed", "rad/s", "limit of the set-point", _INF, 3.0),
-    ServoParameter("lag", "s", "time constant of a filter on the set-point", 0.0, 0.05, "positive"),
-    ServoParameter("clip", "N m", "largest servo torque", _INF, 5.0),
-    ServoParameter("dead_zone", "rad", "position error without torque", 0.0, 0.003, "positive"),
-    ServoParameter("stop_low", "rad", "end stop", -_INF, -3.0, "real"),
-    ServoParameter("stop_high", "rad", "end stop", _INF, 3.0, "real"),
-    ServoParameter("scale", "1", "factor on the command", 1.0, 1.0, "real"),
-    ServoParameter("damping_share", "1", "of the damping, within the clip", 0.0, 0.0, "real"),
-)  # fmt: skip
-NAMES = tuple(p.name for p in PARAMETERS)
-INDEX = {name: k for k, name in enumerate(NAMES)}
-PLANE = ("x", "y", "z", "height", "stiffness")
-"""Point of the last link but the jaw [m, link frame], height of the plane [m], stiffness [N/m]."""
-
-
-TORQUES = tuple(p.name for p in PARAMETERS if p.unit.startswith("N m") or p.name == "armature")
-"""What is multiplied by one factor when all torques are."""
-PER_KP = {"N m": "rad", "N m s/rad": "s", "N m/(rad s)": "1/s", "kg m^2": "s^2", "N m/rad": "1"}
-"""Units of torques as shares of kp."""
-
-
-def as_share(name: str) -> str:
-    """What the share of kp is called that is known where a torque itself is not: `kd/kp`."""
-    return f"{name}/kp"
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +72,7 @@ class Servos:
 
     @classmethod
     def from_record(cls, data: Mapping[str, object], n: int, source: str) -> "Servos":
-        """The inverse of `record`.
+        """Servos of a record, as `record` writes it.
 
         Raises:
             TorchidError: another number of joints, an unknown parameter, or no number.

@@ -28,10 +28,11 @@ from torch import Tensor
 from torchid.dynamics.forward import gravity_torque
 from torchid.dynamics.recursion import chain_geometry
 from torchid.effects.registry import nominal_effects
+from torchid.effects.servo import INDEX
 from torchid.effects.spring import JointSpring
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.robot.model import Robot
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 from torchid.typing import Bool, Float, Int
 
 STEP = 0.005

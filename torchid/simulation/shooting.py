@@ -9,9 +9,6 @@ import torch
 from torchid.design.segments import Segment
 from torchid.typing import Float, Int, Tensor
 
-_STEP = 4e-3  # between samples, at most, where the passage has as many [s]
-_EDGE = 4.0  # periods of the wide band left out at the ends of a passage
-
 
 @dataclass(frozen=True)
 class Starts:
@@ -49,7 +46,8 @@ class Windows:
 
 def _edge_of(passage: Segment) -> int:
     """Samples at the ends of a passage that its filter has spoilt."""
-    return math.ceil(_EDGE * passage.rate / passage.band)
+    # 4.0: periods of the wide band left out at the ends of a passage
+    return math.ceil(4.0 * passage.rate / passage.band)
 
 
 def starts_of(passages: Sequence[Segment], shortest: float, most: int, seed: int) -> Starts:
@@ -78,7 +76,8 @@ def windows_of(passages: Sequence[Segment], starts: Starts, longest: float) -> W
     rates = {p.rate for p in passages}
     assert len(rates) == 1, "passages are resampled to one rate"
     rate = rates.pop()
-    step = max(1, int(_STEP * rate * (1 + 1e-9)))
+    # 4e-3: between samples, at most, where the passage has as many [s]
+    step = max(1, int(4e-3 * rate * (1 + 1e-9)))
     steps = starts.length // step
     count = min(round(longest * rate / step), int(steps.max()))
     # All passages one after the other.

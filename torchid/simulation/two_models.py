@@ -22,8 +22,6 @@ DIVERGED = 1.0
 """Position error of a joint at which a simulation has lost the arm [rad or m]. Larger ones count as
 this, so that one runaway does not decide a mean."""
 
-_LONGEST_STEP = 4e-3  # of the simulation [s]
-
 
 def simulated(robot: Robot, windows: Windows) -> Float[Tensor, "B T n"]:
     """Positions of a model at the samples of all windows [rad; m]; NaN where it has lost the arm.
@@ -32,7 +30,8 @@ def simulated(robot: Robot, windows: Windows) -> Float[Tensor, "B T n"]:
         RobotError: it has no parameters, or an effect that does not exist.
     """
     q0, dq0, dt = windows.q[:, 0], windows.dq[:, 0], windows.dt
-    return rollout(robot, (), q0, dq0, windows.tau, dt, windows.t0, longest_step=_LONGEST_STEP).q
+    # 4e-3: of the simulation [s]
+    return rollout(robot, (), q0, dq0, windows.tau, dt, windows.t0, longest_step=4e-3).q
 
 
 def errors_after(

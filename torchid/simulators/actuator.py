@@ -14,8 +14,7 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.effects.base import Effect, JointEffect, Motion
-from torchid.effects.coupling import GearCoupling
+from torchid.effects.base import Effect, Motion
 from torchid.effects.friction_laws import RESTING
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
@@ -88,9 +87,9 @@ class EffectTorque:
 
     def _adds(self, effect: Effect) -> bool:
         """Whether an actuator of these joints can add its torque."""
-        known = isinstance(effect, JointEffect | GearCoupling) and adds_torque(effect)
         joints = {*effect.identity[1]}
-        return known and joints <= set(self.joints) and effect.needs <= {"t", "torque"}
+        here = joints <= set(self.joints) and effect.needs <= {"t", "torque"}
+        return here and adds_torque(effect)
 
     def reset(self, environments: Int[Tensor, " K"] | Sequence[int] | slice | None = None) -> None:
         """States as at the beginning, of some environments or of all."""

@@ -30,7 +30,7 @@ import torch
 
 from torchid.effects.backlash import Backlash
 from torchid.effects.base import Motion
-from torchid.effects.phase import FilterLag, JointElasticity, TimeDelay
+from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
@@ -95,7 +95,7 @@ class Effects:
         fields = (models, "dof_damping"), (models, "dof_frictionloss"), (datas, "qfrc_applied")
         self._written = [_Together([getattr(x, name) for x in of], rows) for of, name in fields]
         pairs = nominal_effects(robot)
-        late = [(e, v) for e, v in pairs if isinstance(e, TimeDelay | FilterLag)]
+        late = [(e, v) for e, v in pairs if e.logs_late]
         geared = [(e, v) for e, v in pairs if isinstance(e, JointElasticity | Backlash)]
         pairs = [(e, v) for e, v in pairs if (e, v) not in (*late, *geared)]
         self.ignored = tuple(dict.fromkeys(e.name for e, v in pairs if not runs(robot, e, v)))
@@ -104,8 +104,8 @@ class Effects:
         self._torque_late = torch.zeros(robot.n, dtype=torch.float64)
         self._speed_late = 0.0
         for effect, values in late:
-            if isinstance(effect, TimeDelay):
-                self._torque_late[effect.joint] += values[0]
+            if effect.logs_late == "torque":
+                self._torque_late[list(effect.joints)] += values[0]
             else:
                 self._speed_late += values[0]
         self._latest = max(self._speed_late, float(self._torque_late.max()))

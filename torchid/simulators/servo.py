@@ -34,9 +34,10 @@ import torch
 
 from torchid.dynamics.forward import bias_torque
 from torchid.effects.friction_laws import RESTING
+from torchid.effects.servo import NAMES, PARAMETERS
 from torchid.errors import TorchidError
 from torchid.robot.model import Robot
-from torchid.simulation.servo import NAMES, PARAMETERS, Servos
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import FASTEST, compensation, profile_step
 from torchid.simulators.actuator import joints_named
 from torchid.typing import Bool, Float, Int, Tensor

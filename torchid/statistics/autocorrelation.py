@@ -7,13 +7,6 @@ import torch
 
 from torchid.typing import Float, Tensor
 
-WINDOW = 5.0
-"""Correlation times after which the sum over lags ends (Sokal 1997): what is left of an
-exponential correlation is 1 %, and further lags add only their noise."""
-
-FIRST = 200
-"""Lags that are looked at first; most sums end within."""
-
 CORRELATION_TIMES = 4.0
 """Correlation times of the residual in the shortest block whose sum is nearly independent of its
 neighbours'."""
@@ -89,10 +82,13 @@ def time_of(
     longest = rho.shape[-1]
     constant = rho[..., :1] <= 0
     # Most sums end early: further lags are looked at where one does not.
-    for count in (min(FIRST, longest), longest):
+    # 200: lags that are looked at first; most sums end within
+    for count in (min(200, longest), longest):
         sums = 2 * rho[..., :count].cumsum(-1) - 1  # over lags 0 to M of each M
         lags = torch.arange(count, device=rho.device)
-        enough = (lags >= WINDOW * sums) & (2 * lags < longest)
+        # 5.0: correlation times after which the sum over lags ends (Sokal 1997): what is left of an
+        # exponential correlation is 1 %, and further lags add only their noise
+        enough = (lags >= 5.0 * sums) & (2 * lags < longest)
         if bool(enough.any(-1).all()):
             break
     last = enough.to(torch.int8).argmax(-1, keepdim=True)

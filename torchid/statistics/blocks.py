@@ -63,7 +63,8 @@ def block_products(
     array of R P Q numbers is ever made."""
     if bool((block.diff() < 0).any()):
         order = block.argsort(stable=True)
-        a, b, block = a[order], b[order], block[order]
+        same, a, block = a is b, a[order], block[order]
+        b = a if same else b[order]
     out = a.new_zeros(count, a.shape[1], b.shape[1])
     names, sizes = block.unique_consecutive(return_counts=True)
     pieces = zip(names.tolist(), a.split(sizes.tolist()), b.split(sizes.tolist()), strict=True)

@@ -11,13 +11,6 @@ from torchid.statistics.blocks import block_numbers, block_sums
 from torchid.statistics.proportion import HALF_90
 from torchid.typing import Bool, Float, Int, Tensor
 
-UNEVEN = 1.5
-"""Mean over median of the blocks' variance from which noise is not the same everywhere [1]; the
-median is then the noise, and the difference is said. Chance alone makes 1.2 of twenty blocks."""
-
-CLIPPED = 4.5
-"""Times the median of absolute values: 3 standard deviations of a normal variable."""
-
 
 @dataclass(frozen=True, eq=False)
 class NoiseLevel:
@@ -65,13 +58,16 @@ def noise_level(
     # Degrees of freedom of a sum of squares of correlated samples; the median of chi^2 lies below
     # its mean (Wilson and Hilferty 1931).
     # What happens once must not make the noise look as slow as itself: of the usual samples.
-    top = CLIPPED * differences.abs().median(-1, keepdim=True).values
+    # 4.5: times the median of absolute values: 3 standard deviations of a normal variable
+    top = 4.5 * differences.abs().median(-1, keepdim=True).values
     freedom = total / integrated_time(differences.clamp(-top, top), bounds).clamp(min=1.0)
     each = (freedom * length / total).clamp(min=1.0)
     median = variance.nanmedian(-1).values / (1 - 2 / (9 * each)) ** 3
     chance = 1 + 2 * ((math.pi / freedom).sqrt() + (2 / freedom).sqrt())
     # Uneven: the mean far above the median, by more than chance makes it.
-    uneven = (mean > UNEVEN * median) & (mean > chance * median)
+    # 1.5: mean over median of the blocks' variance from which noise is not the same everywhere; the
+    # median is then the noise, and the difference is said. Chance alone makes 1.2 of twenty blocks.
+    uneven = (mean > 1.5 * median) & (mean > chance * median)
     rms = torch.where(uneven, median, mean).sqrt()
     # The interval of a variance with so many degrees of freedom, in logarithms.
     half = HALF_90 / (2 * freedom).sqrt()

@@ -24,77 +24,74 @@ DEPENDENT = 1e-9
 [1]."""
 
 ROUNDED = 1e-13
-"""What is added to the unit diagonal of a matrix before it is factored: rounding."""
+"""What is added to the diagonal of a matrix, of each entry, before it is factored: rounding."""
 
 
 def solved(
     g: np.ndarray,
-    spread: np.ndarray,
     samples: np.ndarray,
     floor: np.ndarray,
-    pinned: np.ndarray | None = None,
-    at: np.ndarray | None = None,
-    centre: np.ndarray | None = None,
+    middle: np.ndarray | None = None,
+    free: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Coefficients (K,), squares left (n,), and half of the coefficients' squares in units of their
-    slabs and of the log determinant of what the data say over what was known.
+    """Coefficients (K,) in units of their slabs, squares left (n,), and half of the coefficients'
+    squares and of the log determinant of what the data say over what was known.
 
     Args:
-        g: (n, K + 1, K + 1) normal matrices, the gap last.
-        spread: (K, K) root of the slabs' covariance.
+        g: (n, K + 1, K + 1) normal matrices of columns in units of their slabs, the gap last.
         samples, floor: (n,) that the squares count as, and squares that are rounding.
-        pinned, at: (K,) coefficients that are held, and where; none if None.
-        centre: (K,) of the slabs; at zero if None.
+        middle: (K,) where the slabs are centred, and coefficients held; at zero if None.
+        free: (K, F) orthonormal directions that are not held, see `beside`; all if None.
     """
-    count = len(spread)
+    count = g.shape[1] - 1
     losses = np.maximum(g[:, -1, -1], floor)
+    axes = None
+    if free is not None or (middle is not None and middle.any()):
+        free = np.eye(count) if free is None else free
+        axes = np.zeros((count + 1, free.shape[1] + 1))
+        axes[:-1, :-1], axes[-1, -1] = free, 1.0
+        axes[:-1, -1] = 0.0 if middle is None else -middle
+        g, count = axes.T @ g @ axes, free.shape[1]
+    v, half = np.append(np.zeros(count), -1.0), 0.0
     if not count:
-        return np.zeros(0), losses, 0.0
-    free = np.ones(count, bool) if pinned is None else ~pinned
-    x = np.zeros(count) if at is None else at.copy()
-    if not free.any():
-        return x, np.maximum(np.append(x, -1.0) @ g @ np.append(x, -1.0), floor), 0.0
-    if not free.all():
-        # The slab of the others beside those that are held, of which some may be known exactly:
-        # what of the root leaves these where they are.
-        held = spread[~free]
-        size = np.linalg.norm(held, axis=1, keepdims=True)
-        _, shown, axes = np.linalg.svd(held / np.where(size > 0, size, 1.0))
-        spread = spread[free] @ axes[(shown > DEPENDENT).sum() :].T
-    half, centre = 0.0, np.zeros(count) if centre is None else centre
-    middle = centre[free]
+        losses = np.maximum((g @ v) @ v, floor)
+        return v[:0] if axes is None else (axes @ v)[:-1], losses, half
+    flat = g.reshape(len(g), -1)
     for _ in range(ROUNDS):
-        h = np.tensordot(samples / losses, g, 1)
-        a, b = h[:-1, :-1], h[:-1, -1]
-        if not free.all():
-            a, b = a[np.ix_(free, free)], b[free] - a[np.ix_(free, ~free)] @ x[~free]
-        z, half = posterior(spread.T @ a @ spread, (b - a @ middle) @ spread)
-        x[free] = middle + spread @ z
-        v = np.append(x, -1.0)
-        before, losses = losses, np.maximum((v @ g) @ v, floor)
-        half += 0.5 * float(z @ z)
+        h = (samples / losses @ flat).reshape(count + 1, count + 1)
+        root = root_of(h[:-1, :-1])
+        v[:-1] = z = dpotrs(root, h[:-1, -1], lower=1)[0]
+        before, losses = losses, np.maximum((g @ v) @ v, floor)
+        half = float(np.log(np.diagonal(root)).sum()) + 0.5 * float(z @ z)
         if (np.abs(losses - before) <= CONVERGED * before).all():
             break
-    return x, losses, half
+    return v[:-1] if axes is None else (axes @ v)[:-1], losses, half
 
 
-def posterior(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, float]:
-    """Solution (K,) of (I + a) z = b, and half of the log determinant of I + a."""
-    root, size = whitening(a)
-    z = dpotrs(root, b / size, lower=1)[0] / size
-    return z, float(np.log(np.diagonal(root)).sum() + np.log(size).sum())
+def beside(spread: np.ndarray, pinned: np.ndarray) -> np.ndarray:
+    """Orthonormal directions (K, F), in units of slabs of root (K, K), that leave the pinned
+    coefficients (K,) where they are, of which some may be known exactly."""
+    held = spread[pinned]
+    size = np.linalg.norm(held, axis=1, keepdims=True)
+    _, shown, axes = np.linalg.svd(held / np.where(size > 0, size, 1.0))
+    return axes[(shown > DEPENDENT).sum() :].T
 
 
-def whitening(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cholesky factor of I + a in units of its diagonal, and the root of that: sizes differ by many
-    orders."""
-    size = np.sqrt(1.0 + np.diagonal(a))
-    unit = (a + np.eye(len(a))) / size / size[:, None]
-    unit.flat[:: len(a) + 1] += ROUNDED
-    root, failed = dpotrf(unit, lower=1)
+def in_slabs(spread: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Coefficients (K,) in units of slabs of root (K, K): zero of those that are known exactly."""
+    size = np.linalg.norm(spread, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    return np.linalg.lstsq(spread / size[:, None], x / size)[0]
+
+
+def root_of(a: np.ndarray) -> np.ndarray:
+    """Lower Cholesky factor of I + a."""
+    whole = a.copy()
+    whole.flat[:: len(a) + 1] = (1.0 + np.diagonal(a)) * (1.0 + ROUNDED)
+    root, failed = dpotrf(whole, lower=1)
     if failed:
         raise FloatingPointError("normal equations that are not finite")
-    return root, size
+    return root
 
 
 def price_of(looks: int) -> float:

@@ -22,12 +22,9 @@ from scipy.special import chdtri, fdtrc
 
 from torchid.statistics.jackknife import student_quantile
 from torchid.statistics.multiple import benjamini_hochberg, two_sided
+from torchid.statistics.resampling import LEVEL
 from torchid.statistics.robust import MAD_TO_SIGMA
 from torchid.typing import Bool, Float, Int, Tensor
-
-LEVEL = 0.95
-GRID = 25
-"""Values of a spread, from 0 up, of which the best is refined."""
 
 FINEST, COARSEST = 1e-3, 10.0
 """Least spread above 0 and largest one that are tried, in standard deviations of the estimates."""
@@ -38,14 +35,10 @@ REFINED = 16
 ROUNDS = 10
 """Times that odd units are left out of the spreads and sought again."""
 
-FAR_STD = 3.5
-"""Robust standard deviations from the median beyond which a unit is left out of the first spreads;
-of normal units one in two thousand is."""
 
 FEWEST_UNITS = 4
 """Units below which none is called odd: the spread of three is not known."""
 
-GOLDEN = (5**0.5 - 1) / 2
 
 Objective = Callable[[Tensor], Tensor]
 """Values (P,) of functions of one variable each (P,)."""
@@ -70,12 +63,12 @@ class Sessions:
         return self.values.isfinite() & self.variances.isfinite()
 
     def without(self, left_out: Bool[Tensor, "P U"]) -> "Sessions":
-        """The same without some units, quantity by quantity."""
+        """These sessions without some units, quantity by quantity."""
         gone = left_out[:, self.unit]
         return replace(self, values=torch.where(gone, torch.nan, self.values))
 
     def of(self, quantities: Tensor) -> "Sessions":
-        """Some of the quantities."""
+        """These sessions of some of the quantities."""
         return Sessions(self.values[quantities], self.variances[quantities], self.unit)
 
     def by_unit(self, x: Float[Tensor, "P S"]) -> Float[Tensor, "P U"]:
@@ -183,12 +176,13 @@ def _lowest(function: Objective, low: Tensor, high: Tensor) -> Tensor:
     """Where functions of one variable each have their minimum (golden section); an end of the
     interval where nothing within is lower."""
     a, b = low, high
-    left, right = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
+    golden = (5**0.5 - 1) / 2
+    left, right = b - golden * (b - a), a + golden * (b - a)
     at_left, at_right = function(left), function(right)
     for _ in range(REFINED):
         lower = at_left < at_right
         a, b = torch.where(lower, a, left), torch.where(lower, right, b)
-        new = torch.where(lower, b - GOLDEN * (b - a), a + GOLDEN * (b - a))
+        new = torch.where(lower, b - golden * (b - a), a + golden * (b - a))
         value = function(new)
         left, right = torch.where(lower, new, right), torch.where(lower, left, new)
         at_left, at_right = (
@@ -206,7 +200,8 @@ class _Scale:
 
     @property
     def grid(self) -> list[Tensor]:
-        steps = torch.logspace(0, 1, GRID - 1, base=COARSEST / FINEST, dtype=torch.float64)
+        # 24: values of a spread above 0, of which the best is refined
+        steps = torch.logspace(0, 1, 24, base=COARSEST / FINEST, dtype=torch.float64)
         return [torch.zeros_like(self.size), *(FINEST * s * self.size for s in steps)]
 
 
@@ -237,14 +232,11 @@ def spreads(data: Sessions) -> tuple[Float[Tensor, " P"], Float[Tensor, " P"]]:
             between, daily = (
                 torch.where(better, a_own, between), torch.where(better, b_own, daily)
             )  # fmt: skip
-    for _ in range(SWEEPS):
+    # 3: times that both spreads are refined in turn: they hardly depend on each other
+    for _ in range(3):
         between = _likeliest(partial(deviance, data, daily=daily), scale, several)
         daily = _likeliest(partial(deviance, data, between), scale, repeated)
     return between, daily
-
-
-SWEEPS = 3
-"""Times that both spreads are refined in turn: they hardly depend on each other."""
 
 
 def _frame(data: Sessions) -> tuple[_Scale, Tensor, Tensor]:
@@ -414,7 +406,9 @@ def _far(data: Sessions) -> Bool[Tensor, "P U"]:
         rest = torch.where(far, torch.nan, mean)
         left = mean - rest.nanmedian(1, keepdim=True).values
         near = torch.where(far, torch.nan, left.abs()).nanmedian(1, keepdim=True).values
-        far = (left.abs() > FAR_STD * MAD_TO_SIGMA * near) & enough
+        # 3.5: robust standard deviations from the median beyond which a unit is left out of the
+        # first spreads; of normal units one in two thousand is
+        far = (left.abs() > 3.5 * MAD_TO_SIGMA * near) & enough
     return far
 
 

@@ -11,9 +11,6 @@ Array = np.ndarray
 LEVEL = 0.95
 """Of an interval, if nothing else is said."""
 
-LEAST_DEFINED = 0.9
-"""Share of the draws in which a statistic must be defined for its interval to be given."""
-
 
 DRAWS = 1000
 """Samples of a bootstrap, where nothing else is said: ends of a 95 % interval then vary by 5 % of
@@ -65,7 +62,8 @@ def percentile_interval(values: Array, level: float = LEVEL) -> tuple[float, flo
     """Two-sided percentile interval of a statistic's draws (D,); nan where fewer than nine in ten
     of the draws are finite."""
     defined = values[np.isfinite(values)]
-    if len(defined) < max(1, LEAST_DEFINED * len(values)):
+    # 0.9: share of the draws in which a statistic must be defined for its interval to be given
+    if len(defined) < max(1, 0.9 * len(values)):
         return float("nan"), float("nan")
     low, high = np.quantile(defined, tails(level))
     return float(low), float(high)

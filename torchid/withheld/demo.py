@@ -12,7 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from torchid.doctor.examine import Examination, examine
-from torchid.effects.registry import nominal_effects
+from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
+from torchid.effects.friction_laws import LoadDependentFriction
+from torchid.effects.inertia import Payload
+from torchid.effects.registry import Valued, nominal_effects
+from torchid.effects.spring import JointSpring
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.files import write_text
@@ -34,14 +38,11 @@ from torchid.typing import Tensor
 SECONDS, RATE = 5.0, 100.0
 """Length and rate of each of the three logs."""
 
-ACCELERATION = 8.0
-"""Of the motions [rad/s^2]."""
 
 PLAIN: tuple[dict[str, Any], ...] = (
-    {"effect": "payload", "m": 1.0, "mx": 0.02, "my": 0.0, "mz": 0.08, "Jxx": 0.01, "Jxy": 0.0,
-     "Jxz": 0.0, "Jyy": 0.01, "Jyz": 0.0, "Jzz": 0.005},
-    {"effect": "coulomb_friction", "joint": 2, "Fc": 4.0},
-)  # fmt: skip
+    Payload().record((1.0, 0.02, 0.0, 0.08, 0.01, 0.0, 0.0, 0.01, 0.0, 0.005)),
+    CoulombFriction(joint=1).record((4.0,)),
+)
 """Causes that are known from the start."""
 
 SHARES = (0.03, 0.06)
@@ -139,18 +140,18 @@ def withheld_cause(robot: Robot, seed: int) -> dict[str, Any]:
     g = random.Random(seed)
     joint, share = g.randrange(robot.n), g.uniform(*SHARES)
     torque, speed = _highest(robot.limits.torque, joint), _highest(robot.limits.velocity, joint)
-    causes: tuple[dict[str, Any], ...] = (
-        {"effect": "load_dependent_friction", "mu": g.uniform(*LOAD_SHARES)},
-        {"effect": "viscous_friction", "Fv": share * torque / speed},
-        {"effect": "torque_offset", "F0": share * torque},
-        {"effect": "joint_spring", "k": share * torque, "c0": 0.0},
+    causes: tuple[Valued, ...] = (
+        (LoadDependentFriction(joint), [g.uniform(*LOAD_SHARES)]),
+        (ViscousFriction(joint), [share * torque / speed]),
+        (TorqueOffset(joint), [share * torque]),
+        (JointSpring(joint), [share * torque, 0.0]),
     )
-    cause = g.choice(causes)
-    return {"effect": cause["effect"], "joint": joint + 1, **cause}
+    effect, values = g.choice(causes)
+    return effect.record(values)
 
 
 def _highest(limits: Tensor | None, joint: int) -> float:
-    """Of a joint."""
+    """The upper limit of a joint."""
     assert limits is not None  # the arm's file has them
     return float(limits[joint, 1])
 
@@ -172,10 +173,11 @@ def write_files(folder: Path, seed: int) -> Files:
     # The maker's file says nothing of friction.
     arm = config_folder("demonstration") / "arm.urdf"
     write_text(files.robot, arm.read_text(encoding="utf-8"))
-    robot = load_robot(files.robot)
+    robot = load_robot(arm)
     withheld = withheld_cause(robot, seed)
     key = write_json({"schema": "torchid.demo.key/1", "withheld": withheld}, files.key)
-    moving = robot.with_limits(acceleration=ACCELERATION)
+    # 8.0: of the motions [rad/s^2]
+    moving = robot.with_limits(acceleration=8.0)
     motions = [
         trajectory_log(random_trajectory(moving, 10 * seed + k, duration=SECONDS, fill=True), RATE)
         for k in range(3)

@@ -36,30 +36,12 @@ from torchid.results.words import number_list
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 
-USUAL = (
-    "coulomb_friction",
-    "viscous_friction",
-    "stribeck_friction",
-    "load_dependent_friction",
-    "presliding_hysteresis",
-    "joint_spring",
-    "torque_offset",
-    "torque_gain",
-    "rotor_inertia",
-)
+USUAL = tuple(name for name, kind in KINDS.items() if kind.usual)
 """Effects that are planted beside those that the answer names, and what stands in their sets."""
 
 OUTSIDE = "outside the library"
 """A smooth law of position and speed that no effect has."""
 
-OUTSIDE_SHARE = 6
-"""Every sixth cause is of no library."""
-
-WAVES = 12
-"""Waves that such a law is the sum of; their numbers are drawn."""
-
-BAND = 8.0
-"""Of the motions of which shapes are drawn [Hz]."""
 
 TIMES = 2.0
 """Size of a cause, over what the answer leaves on its joint [1]."""
@@ -142,7 +124,7 @@ class CalibrationRecord(Record, frozen=True, kw_only=True, tag="torchid.gap.cali
 
 @dataclass(frozen=True)
 class Calibration(Result):
-    """All of it.
+    """How often an answer named causes that were planted, and what it named.
 
     Attributes:
         diagnosis: of the log as it is.
@@ -229,7 +211,8 @@ def _plantings(
     g = torch.Generator().manual_seed(bed.settings.seed)
     filters = [ZeroPhaseFilter(s.rate, min(diagnosis.band, 0.4 * s.rate)) for s in segments]
     for k, (joint, name) in enumerate(cycle(product(joints, names))):
-        inside = [(joint, name)] if k % (OUTSIDE_SHARE - 1) else [(joint, name), (joint, OUTSIDE)]
+        # 5: every sixth cause is of no library
+        inside = [(joint, name)] if k % 5 else [(joint, name), (joint, OUTSIDE)]
         for where, kind in inside:
             shape = (
                 _law_of_none(motions, where, g)
@@ -262,7 +245,8 @@ def _shape(
     """Torque of a joint's effect of any size, each of its coefficients with about as much."""
     kind = KINDS[name]
     assert issubclass(kind, JointEffect)
-    grid = kind.grid(motions, joint, BAND)
+    # 8.0: of the motions of which shapes are drawn [Hz]
+    grid = kind.grid(motions, joint, 8.0)
     drawn = grid[int(torch.randint(len(grid), (1,), generator=g))].tolist()
     effect = kind(joint, **dict(zip((s.name for s in kind.shapes), drawn, strict=True)))
     columns = [effect.torque_columns(m, bed.robot)[:, joint] for m in motions]
@@ -280,8 +264,10 @@ def _law_of_none(
     other = (joint + 1 + int(torch.randint(max(n - 1, 1), (1,), generator=g))) % n
     every = [torch.stack([m.q[:, joint], m.dq[:, joint], m.dq[:, other]], 1) for m in motions]
     mean, std = torch.cat(every).mean(0), torch.cat(every).std(0).clamp(min=1e-9)
-    ways = torch.randn(WAVES, 3, generator=g, dtype=mean.dtype)
-    phase, size = torch.rand(2, WAVES, generator=g, dtype=mean.dtype)
+    # Waves that such a law is the sum of; their numbers are drawn
+    waves = 12
+    ways = torch.randn(waves, 3, generator=g, dtype=mean.dtype)
+    phase, size = torch.rand(2, waves, generator=g, dtype=mean.dtype)
     return [
         torch.cos((x - mean) / std @ ways.T + 2 * math.pi * phase) @ (size - 0.5) for x in every
     ]

@@ -27,9 +27,6 @@ MEMORY_LIMIT = 4 * 2**30
 SETS, INSTANTS = 128, 200
 """Most sets and instants in a tile: 128 x 200 x 6 numbers are 1.2 MB (the benchmark `wrenches`)."""
 
-FORCE_KINDS = 4
-"""Parameters of a link that make force: mass and first moment; the others are couples alone."""
-
 
 class Tile(NamedTuple):
     """Wrenches of k sets at one joint over t instants.
@@ -53,6 +50,8 @@ def wrench_tiles(
     links = robot.n_links
     unit = torch.eye(PARAMETERS_PER_LINK * links, dtype=pi.dtype, device=pi.device)
     units = InertialParameters(unit.reshape(-1, 1, links, PARAMETERS_PER_LINK))
+    # Parameters of a link that make force: mass and first moment; the others are couples alone
+    force_kinds = 4
     for instants in _spans(len(motion[0]), INSTANTS):
         q, dq, ddq = (x[instants] for x in motion)
         columns = joint_wrenches(robot, q, dq, ddq, units)
@@ -63,7 +62,7 @@ def wrench_tiles(
             own = columns[joint, carried]
             parts = [
                 (pi[:, carried, :kinds].flatten(1), part.flatten(2).flatten(0, 1))
-                for kinds, part in ((FORCE_KINDS, own[:, :FORCE_KINDS, :3]), (None, own[:, :, 3:]))
+                for kinds, part in ((force_kinds, own[:, :force_kinds, :3]), (None, own[:, :, 3:]))
             ]
             for sets in _spans(len(pi), SETS):
                 made = torch.stack([felt[sets] @ block for felt, block in parts])

@@ -11,6 +11,7 @@ from torchid.app import options as opt
 from torchid.app.inputs import PLACE
 from torchid.app.output import Kept, Printed
 from torchid.app.signature import Switch, command
+from torchid.files import staged
 
 SetArgument = Annotated[
     Path,
@@ -65,7 +66,7 @@ def make_command(
     from torchid_bench.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
-    with output.progress() as progress:
+    with output.progress() as progress, staged(None):  # what a stopped one has made is kept
         made = make(
             out, cases, seed, kind=kind, mix=mix, robots=robots, keys=sealed,
             jobs=workers.count, progress=progress,
@@ -99,7 +100,7 @@ def run_command(
 
     found = read_cases(folder)
     todo = jobs_of(found, GapSettings())
-    with output.progress() as progress:
+    with output.progress() as progress, staged(None):
         answers = run(todo, jobs=workers.count, again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
     statuses = dict(Counter(answer["status"] for answer in answers.values()))

@@ -42,8 +42,6 @@ RIGHT = {
     "control": set(),
 }
 
-SOFTEST = 0.1
-"""Depth to which nothing that an arm meets gives way [m]."""
 
 LEAST = {"asymmetric": 0.04}
 """Least size as a share of the joint's torque, where it is not 1.5 %: each of two parts counts."""
@@ -93,7 +91,8 @@ def plane(m: Truth, axis: int) -> np.ndarray:
     place, jacobian = tip(m, 0.03)
     sign = 1.0 if axis == 2 else m.rng.choice([-1.0, 1.0])
     own = sign * place[:, axis]
-    height = min(np.quantile(own, 0.06), own.min() + SOFTEST)
+    # 0.1: depth to which nothing that an arm meets gives way [m]
+    height = min(np.quantile(own, 0.06), own.min() + 0.1)
     depth = np.clip(height - own, 0, None)
     rate = -sign * np.einsum("tj,tj->t", jacobian[:, axis], m.dq)
     force = depth**1.5 * np.clip(1 + 0.3 * rate, 0, None)

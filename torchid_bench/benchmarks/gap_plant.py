@@ -52,11 +52,6 @@ CAPS = {
 }
 """Coefficients larger than these are no small error of a model any more."""
 
-MOST_TWIST = 0.04  # [rad] of an elastic joint, at its 99 % torque
-LOWEST_RESONANCE = 6.0  # [Hz] of an elastic joint; a softer one would not be quasi-static
-HEAVIEST = 5.0  # [kg] payload
-LARGEST_PAYLOAD_OFFSET = 0.15  # [m]
-
 
 def generator(*parts: object) -> torch.Generator:
     """Random numbers that depend on what they are for alone."""
@@ -399,8 +394,10 @@ def _elastic(scene: Scene, g: torch.Generator, joint: int) -> Sized | None:
     torque, ddq = m.require("torque", "elasticity")[:, joint], m.ddq[:, joint]
     moved = torch.stack([ddq, m.q[:, joint].cos(), m.q[:, joint].sin(), torch.ones_like(ddq)], 1)
     inertia = abs(float(torch.linalg.lstsq(moved, torque.unsqueeze(1)).solution[0]))
-    softest = 1 / (inertia * (2 * math.pi * LOWEST_RESONANCE) ** 2)
-    most = min(softest, MOST_TWIST / float(scene.loaded[joint]))
+    # 6.0 Hz: of an elastic joint; a softer one would not be quasi-static
+    softest = 1 / (inertia * (2 * math.pi * 6.0) ** 2)
+    # 0.04 rad: of an elastic joint, at its 99 % torque
+    most = min(softest, 0.04 / float(scene.loaded[joint]))
     return Sized(lambda c: (KINDS["joint_elasticity"](joint), [c]), most, most)  # type: ignore[call-arg]
 
 
@@ -421,8 +418,10 @@ def _within(g: torch.Generator, radius: float) -> Tensor:
 
 
 def _payload(scene: Scene, g: torch.Generator, joint: int) -> Sized:
-    body = _body(g, _within(g, LARGEST_PAYLOAD_OFFSET))
-    return _times(KINDS["payload"](), body.tolist(), HEAVIEST)
+    # 0.15 m: farthest of the payload's centre of mass from the flange
+    body = _body(g, _within(g, 0.15))
+    # 5.0 kg: heaviest payload
+    return _times(KINDS["payload"](), body.tolist(), 5.0)
 
 
 def _link(scene: Scene, g: torch.Generator, joint: int) -> Sized:

@@ -54,17 +54,9 @@ from torchid_bench.benchmarks.planted_cases import SOURCES, Case, Source, cases,
 from torchid_bench.benchmarks.planted_oracle import stored
 from torchid_bench.benchmarks.runner import command, results, share, table
 
-FINEST = 125.0
-"""Rate at which sizes are measured [Hz]."""
-
 DRAWS = 6
 """Times that an effect is drawn at most, until it is a cause."""
 
-NOTHING = 1e-3
-"""Size below which an effect is none, over what the model leaves [1]."""
-
-MOST = 4
-"""Members of a set that still says something."""
 
 PLANTED = (
     "viscous_friction", "power_law_friction", "coulomb_friction", "stribeck_friction",
@@ -152,7 +144,8 @@ def well_posed(scene: Scene, planted: Planted) -> bool:
     """Whether what was drawn is a cause: it makes torque, no spring pushes away from its rest
     position, and the joint passes through a period of a wave once at least."""
     effect = planted.effect
-    if not planted.size > NOTHING or not any(planted.values):
+    # 1e-3: size below which an effect is none, over what the model leaves
+    if not planted.size > 1e-3 or not any(planted.values):
         return False
     if isinstance(effect, JointSpring):
         return planted.values[0] > 0
@@ -186,7 +179,8 @@ def draw(
     robot, second, unplanted = modelled(label, SOURCES[label], data, plants)
     folder = plants / label
     noise = [j["after"] for j in unplanted["how_far"]["per_joint"]]
-    coarse = scene_of(robot, second, noise, band, FINEST)
+    # 125.0: rate at which sizes are measured [Hz]
+    coarse = scene_of(robot, second, noise, band, 125.0)
     fine = scene_of(robot, second, noise, band, 1e6)
     moving = [j for j in range(robot.n) if float(coarse.fast[j]) > 0.02]
     missing = prepare(robot, second, None).missing
@@ -368,11 +362,11 @@ def judged(case: dict[str, Any], none: dict[str, Any]) -> Verdict:
     sure = [w for w in new if w["probabilities"].get(w["effect"], 0.0) >= SET_MASS]
     # Known on the joint before it was planted, it can only change its size.
     known = any(names_it(key, w) for w in none["which"] if w["joints"])
+    # 4: members of a set that still says something
     return Verdict(
         (bool(new) and names_it(key, new[0])) or (known and any(names_it(key, w) for w in names)),
         any(
-            names_it(key, w, in_set=True)
-            and len({w["effect"], *w.get("ambiguous_with", ())}) <= MOST
+            names_it(key, w, in_set=True) and len({w["effect"], *w.get("ambiguous_with", ())}) <= 4
             for w in names
         ),
         len(new),

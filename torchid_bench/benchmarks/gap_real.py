@@ -24,7 +24,6 @@ from torchid_bench.benchmarks.real_logs import LINES, Line, read
 from torchid_bench.benchmarks.runner import command, table
 
 FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
-MOVING = 0.02
 
 
 def run(line: Line, data: Path, background: tuple[str, ...]) -> Diagnosis:
@@ -50,7 +49,8 @@ def errors(found: Diagnosis, line: Line, which: str) -> str:
         )
         rows = trace.valid.unsqueeze(1) & torch.ones_like(measured, dtype=torch.bool)
         if line.rows == "moving":
-            rows = rows & (trace.motion.dq.abs() > MOVING)
+            # 0.02: speed from which a joint moves [rad/s]
+            rows = rows & (trace.motion.dq.abs() > 0.02)
         error = error + ((measured - predicted).square() * rows).sum(0)
         torque = torque + (measured.square() * rows).sum(0)
     return " ".join(f"{100 * float(x):.1f}" for x in (error / torque).sqrt())

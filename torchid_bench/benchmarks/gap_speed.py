@@ -33,7 +33,6 @@ from torchid_bench.benchmarks.cpu_time import machine
 from torchid_bench.benchmarks.runner import command, results, table
 
 RATE = 500.0
-DURATION = 30.0
 PLANTED = MappingProxyType({"effect": "coulomb_friction", "Fc": 1.5})
 LINK, SHRINKS = 0.2, 0.85
 """Length of a chain's links [m], and mass of each over that of the one before [1]."""
@@ -72,7 +71,8 @@ def case(seconds: float, rate: float = RATE, joints: int = 7) -> tuple[Robot, Lo
     """A simulator, and a log of the arm it should be, at a rate [Hz]."""
     robot = load_robot("kuka_lwr4") if joints == 7 else chain(joints)
     arm = replace(robot, effects=(*robot.effects, {**PLANTED, "joint": joints // 2 + 1}))
-    count = max(1, round(seconds / DURATION))
+    # 30.0: length of a trajectory [s]
+    count = max(1, round(seconds / 30.0))
     plan = random_trajectory(
         robot, seed=0, count=count, duration=seconds / count, fill=True, usage=0.8
     )

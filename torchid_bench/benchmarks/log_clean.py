@@ -12,9 +12,6 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 
-OFF = 0.4
-"""Masses are off by up to this share, each by itself."""
-
 
 @lru_cache
 def clean(
@@ -41,7 +38,8 @@ def clean(
         return 2 * torch.rand(n, generator=generator, dtype=torch.float64) - 1
 
     assert described.parameters is not None
-    factor = 1 + OFF * uniform()
+    # 0.4: masses are off by up to this share, each by itself
+    factor = 1 + 0.4 * uniform()
     real = described.with_parameters(InertialParameters(described.parameters.pi * factor[:, None]))
     motion = trajectory_log(
         random_trajectory(described, seed, fill=True, usage=0.8, duration=duration), rate

@@ -87,7 +87,7 @@ def _clean_ones(found: dict[str, tuple[Robot, Log]]) -> dict[str, float]:
     for name, (robot, log) in found.items():
         result = examine(robot, log)
         lags[name] = next((c.estimate or 0.0 for c in result.checks if c.name == "lag"), 0.0)
-        said = [f"{c.name} ({c.verdict})" for c in _said(result)]
+        said = [f"{c.name} ({c.verdict})" for c in _alarms(result)]
         alarms += bool(said)
         print(f"clean {name}: {', '.join(said) or 'silent'}", flush=True)
     took = (time.process_time() - start) / max(1, len(found))
@@ -114,12 +114,12 @@ def _planted_ones(
         result = examine(planted.robot, planted.log)
         hits.append(planted.found(result.checks))
         others.append(
-            any(c.name not in planted.names and not planted.chooses(c) for c in _said(result))
+            any(c.name not in planted.names and not planted.chooses(c) for c in _alarms(result))
         )
         outcome = _outcome(log, result)
         mended[outcome] += 1
         if others[-1] or not hits[-1] or outcome == "worse":
-            said = [f"{c.name} {[k + 1 for k in c.joints]} {c.estimate}" for c in _said(result)]
+            said = [f"{c.name} {[k + 1 for k in c.joints]} {c.estimate}" for c in _alarms(result)]
             joints = [k + 1 for k in planted.joints or ()]
             word = "found" if hits[-1] else "MISSED"
             said = f"{'; '.join(said) or 'silent'} ({outcome})"
@@ -145,7 +145,7 @@ def _outcome(clean: Log, result: Examination) -> str:
     return "mended"
 
 
-def _said(result: Examination) -> list[Check]:
+def _alarms(result: Examination) -> list[Check]:
     return [c for c in result.checks if c.verdict in ("wrong", "doubtful")]
 
 

@@ -29,9 +29,9 @@ from torchid.excitation.design import excite
 from torchid.excitation.fourier import FourierTrajectory
 from torchid.excitation.synthetic import nominal_torque
 from torchid.excitation.trajectories import random_trajectory
+from torchid.gap.cause_records import valued
 from torchid.gap.diagnosis import Diagnosis
 from torchid.gap.settings import GapSettings
-from torchid.gap.told import valued
 from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
 from torchid.next_motion.ambiguity import open_questions, rivals

@@ -18,14 +18,16 @@ joint that is stuck stays there. Masses are the file's, and the simulator, its d
 optimiser MuJoCo's own. Each residual is the difference of positions in radians: its own default
 divides by each window's size. FILE is torchid's, of `torchid gap ROBOT LOG... --save-model FILE`: it
 is judged on the same motions, by its own replay, and as MuJoCo moves what `torchid correct` makes of
-it (the seconds are that refit's). Windows of 10 s are those of `torchid correct`.
+it (the seconds are that refit's): `servos and table`, and, as mujoco.sysid knows nothing of a table,
+`servos` alone. Windows of 10 s are those of `torchid correct`.
 """
 
 import io
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
+from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -34,7 +36,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from mujoco import sysid
 from scipy.signal import lfilter
 from torch import Tensor
 
@@ -52,6 +53,7 @@ from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import windows_of
 from torchid_bench.benchmarks.position_errors import HEADS, read_folds, row
 from torchid_bench.benchmarks.runner import command, table
+from torchid_bench.benchmarks.sysid_toolbox import sysid_toolbox
 
 START = {
     "kp": 17.8, "damping": 0.6, "armature": 0.028, "frictionloss": 0.052, "kv": 0.06, "clip": 5.0,
@@ -72,14 +74,7 @@ FITTED = {
 STEPS = 4
 """Of the simulator, from one row of a log to the next."""
 DELAY_S, LATEST_S = 0.04, 0.15
-LONGEST_LAG_S = 0.2
 SCALES = (0.8, 1.2)
-PAST_S = 2.0
-"""Of commands before a window, which a delay and a filter know [s]."""
-FARTHEST = 0.3
-"""Offset of a command that a fit may have [rad]."""
-ITERATIONS = 15
-"""At most."""
 JUDGED = (None, WINDOW_S, PROMISED_S)
 """Whole motions, and windows [s]."""
 FIRM = [0.9999, 0.9999, 0.001, 0.5, 2]
@@ -111,9 +106,12 @@ def spec_of(robot: Any, folder: Path, step: float, *, firm: bool) -> mujoco.MjSp
 def parameters(names: Sequence[str], fitted: Sequence[str]) -> Any:
     """Logarithms of each joint's `START`, its offset in radians, its delay and lag in tenths of a
     second, and the scale of its commands: those that are fitted."""
+    sysid = sysid_toolbox()
     out, late = sysid.ParameterDict(), (10 * DELAY_S, 0.0, 10 * LATEST_S)
     if "delay" not in fitted:
         out.add(sysid.Parameter("delay", *late))
+    # Offset of a command that a fit may have [rad]
+    farthest = 0.3
     for joint in names:
         for what, start in START.items():
             if what not in fitted:
@@ -142,10 +140,11 @@ def parameters(names: Sequence[str], fitted: Sequence[str]) -> Any:
             servo = s.actuator(joint)
             servo.biasprm[0] = servo.gainprm[0] * p.value[0]
 
+        # 0.2: time constant of the slowest filter [s]
         others: dict[str, tuple[tuple[float, float, float], Any]] = {
-            "offset": ((0.0, -FARTHEST, FARTHEST), shift),
+            "offset": ((0.0, -farthest, farthest), shift),
             "delay": (late, None),
-            "lag": ((0.1, 0.0, 10 * LONGEST_LAG_S), None),
+            "lag": ((0.1, 0.0, 10 * 0.2), None),
             "scale": ((1.0, *SCALES), None),
         }
         for what, (bounds, modifier) in others.items():
@@ -165,7 +164,7 @@ def value(params: Any, joint: str, what: str, without: float) -> float:
 def residual(spec: mujoco.MjSpec, data: PositionData, chunks: Iterable[tuple[int, int]]) -> Any:
     """sysid's residual [rad] of chunks of the motions, each of so many rows from a first one; chunks
     of one length are rolled out together, so that their model is made once."""
-    model, n = spec.compile(), data.robot.n
+    sysid, model, n = sysid_toolbox(), spec.compile(), data.robot.n
     q, dq, u = (x.numpy() for x in (data.q, data.dq, data.tracks.u))
     dt, firsts = data.tracks.dt, data.tracks.first.numpy()
 
@@ -173,7 +172,8 @@ def residual(spec: mujoco.MjSpec, data: PositionData, chunks: Iterable[tuple[int
     def late(row: int, times: int, j: int, delay: float, lag: float, scale: float) -> np.ndarray:
         """Commands of joint j at so many times from a row on."""
         first = firsts[np.searchsorted(firsts, row, side="right") - 1]
-        first = max(first, row - round(PAST_S / dt))
+        # 2.0: of commands before a window, which a delay and a filter know [s]
+        first = max(first, row - round(2.0 / dt))
         known = np.arange(first, row + times // STEPS + 1)
         fine = dt * first + dt / STEPS * np.arange(STEPS * (row - first) + times)
         x = scale * np.interp(fine - delay, dt * known, u[known, j])
@@ -256,13 +256,15 @@ def fit(
     with tempfile.TemporaryDirectory() as folder:
         spec = spec_of(training.robot, Path(folder), training.tracks.dt / STEPS, firm=firm)
     function = residual(spec, training, chunks_of(training, WINDOW_S, windows))
+    sysid = sysid_toolbox()
     begun, sums = parameters(robot.joint_names, fitted), []
     for name, p in begun.items():
         joint, _, what = name.rpartition(" ")
         p.value = np.array([value(start or {}, joint, what, float(p.value[0]))])
     with redirect_stdout(io.StringIO()):
+        # 15: at most
         found, _ = sysid.optimize(
-            begun, function, verbose=False, max_iters=ITERATIONS, eps=1e-4, xtol=1e-3,
+            begun, function, verbose=False, max_iters=15, eps=1e-4, xtol=1e-3,
             iter_callback=lambda trace: sums.append(trace[-1].objective),
         )  # fmt: skip
     print(f"  {begun.size} numbers, iterations: " + " ".join(f"{x:.4g}" for x in sums))
@@ -322,23 +324,42 @@ def main(
 
 
 def ours(corrected: str, log: Log, others: Sequence[Log]) -> list[tuple[str, ...]]:
-    """Errors of torchid's own replay of other motions, and of MuJoCo's of its refitted file."""
-    arm, begun = ServoArm.read(corrected), time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
-        done = correct(arm.robot, arm, log, "mjcf", folder)
-        engine = ServosInMujoco(done.files[0], arm.robot)
-    busy = time.process_time() - begun
-    data = prepare(arm.robot, Log.concatenate(others), arm.scale)
-    squares: tuple[dict[float | None, Sequence[Tensor]], ...] = ({}, {})
-    for seconds in JUDGED:
+    """Errors on other motions of torchid's own replay, and of MuJoCo's of the refitted file: with
+    what the arm touches, that file with its contact off, and refitted as servos alone."""
+    whole = ServoArm.read(corrected)
+    data = prepare(whole.robot, Log.concatenate(others), whole.scale)
+    measured = data.q / data.scale
+
+    def judged(name: str, busy: float, positions: Callable[[float | None], Tensor]) -> None:
+        squares = dict[float | None, list[Tensor]]()
+        for seconds in JUDGED:
+            square = (positions(seconds) - measured).square()
+            squares[seconds] = [square[a : a + rows] for a, rows in chunks_of(data, seconds)]
+        out.extend(rows_of(name, squares, busy))
+
+    def in_mujoco(seconds: float | None) -> Tensor:
         windows = windows_of(data.tracks, seconds)
-        start = [x.numpy() for x in data.start(windows)]
-        q = engine.moved(done.servos.servos, data.tracks, windows, *start)
-        own = torch.cat([log.q for log in replay(arm, others, windows=seconds).simulated])
-        for by, found in zip(squares, (own, q / data.scale), strict=True):
-            square = (found - data.q / data.scale).square()
-            by[seconds] = [square[a : a + rows] for a, rows in chunks_of(data, seconds)]
-    return rows_of("torchid", squares[0], 0.0) + rows_of("torchid in MuJoCo", squares[1], busy)
+        start = (x.numpy() for x in data.start(windows))
+        return engine.moved(servos, data.tracks, windows, *start) / data.scale
+
+    out = list[tuple[str, ...]]()
+    judged(
+        "torchid's replay", 0.0,
+        lambda t: torch.cat([log.q for log in replay(whole, others, windows=t).simulated]),
+    )  # fmt: skip
+    alone = replace(whole, servos=replace(whole.servos, plane=0 * whole.servos.plane))
+    for name, arm in (("servos and table", whole), ("servos", alone)):
+        begun = time.process_time()
+        with tempfile.TemporaryDirectory() as folder:
+            done = correct(arm.robot, arm, log, "mjcf", folder)
+            engine = ServosInMujoco(done.files[0], arm.robot)
+        assert done.servos is not None
+        servos = done.servos.servos
+        judged(name, time.process_time() - begun, in_mujoco)
+        if arm is whole:
+            engine.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+            judged(f"{name}, contact off", 0.0, in_mujoco)
+    return out
 
 
 def rows_of(

@@ -58,9 +58,6 @@ SOURCES = {
     "tiago": Source("tiago/robot.urdf", ("tiago/log_identification.parquet",), tip="arm_7_link"),
 }
 
-DEVELOPMENT = ("panda", "ur10e", "xmate", "kr300", "airbot")
-"""Logs that whoever writes a diagnosis may look at; the others are for its last run alone."""
-
 
 def halves(source: Source, data: Path) -> tuple[Robot, Log, Log]:
     """The arm without parameters, and both halves of its log."""

@@ -32,12 +32,6 @@ from torchid_bench.benchmarks.planted_evidence import Gap, Terms, independent
 TIMES_GAP = 2.0
 """Torque of a term beforehand, one standard deviation, over the gap of a joint [1]."""
 
-BEYOND = 2.0
-"""Standard deviations by which a rival's coefficient may be beyond what any arm has."""
-
-FOLDS = 5
-"""Stretches of a log that are held out, each in turn, where it has less than three trajectories."""
-
 
 @dataclass(frozen=True, eq=False)
 class Half:
@@ -92,7 +86,9 @@ def half_of(robot: Robot, log: Log, cutoff: float | None, like: Half | None = No
     columns, keep = Columns(Model.of(robot), samples), moving_samples(samples).numpy()
     tau = samples.of([s.tau.T for s in segments]).numpy()
     rows = keep.sum(1).astype(float)
-    parts = [np.arange(b.stop - b.start) * FOLDS // (b.stop - b.start) for b in samples.bounds]
+    # 5: stretches of a log that are held out, each in turn, where it has less than three
+    # trajectories
+    parts = [np.arange(b.stop - b.start) * 5 // (b.stop - b.start) for b in samples.bounds]
     if len(parts) >= 3:
         parts = [np.full(len(p), k) for k, p in enumerate(parts)]
     gap = Gap(columns.gap.numpy() * keep, rows, samples.bounds, np.concatenate(parts))
@@ -137,7 +133,8 @@ class Candidate:
 
     def forbids(self, value: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Which of its coefficients (C,) are, with this covariance (C, C), none of any arm."""
-        std = BEYOND * np.sqrt(covariance.diagonal())
+        # 2.0: standard deviations by which a rival's coefficient may be beyond what any arm has
+        std = 2.0 * np.sqrt(covariance.diagonal())
         return (value < self.low - std) | (value > self.high + std)
 
     def precision(self, half: Half, products: np.ndarray | None = None) -> np.ndarray:

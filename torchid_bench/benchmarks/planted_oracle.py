@@ -58,8 +58,6 @@ STORED = Path(__file__).with_suffix(".json")
 OVER_NOTHING, OVER_RIVAL = 5.0, 3.0
 """Nats above which the truth is told from nothing, and from its best rival."""
 
-BELOW = 0.01
-"""Share of a joint's torque below which no cause is worth a name [1]."""
 
 ALREADY_THERE = 10.0
 """Nats over nothing above which something was there before anything was planted: the logarithm of a
@@ -246,7 +244,8 @@ def classified(known: Known, case: Case, log: Log, cutoff: float | None) -> dict
 def class_of(share: float, nothing: float, rival: float) -> str:
     """Of a case whose torque is such a share of its joint's, so many nats over nothing and over the
     best rival."""
-    if share < BELOW:
+    # 0.01: share of a joint's torque below which no cause is worth a name
+    if share < 0.01:
         return "below"
     if nothing <= OVER_NOTHING:
         return "undecidable"

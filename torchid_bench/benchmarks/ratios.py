@@ -4,7 +4,7 @@
 
 Every line is one thing that both can do, on one thread: they run in turn, and the ratio is the
 median over the rounds of (processor time of the peer / of torchid), so above 1 torchid is faster. A
-peer that is not installed is left out. `ratios.json` holds the ratios of the last release; one that
+peer that is not installed is said. `ratios.json` holds the ratios of the last release; one that
 has fallen by more than a fifth is printed. `--save` writes the file anew.
 """
 
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import torch
 
 from tests.arms import arm, consistent_parameters, states
@@ -31,6 +32,7 @@ from torchid.design.motion import measurements
 from torchid.design.segments import Samples, segments_of
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
+from torchid.errors import TorchidError
 from torchid.excitation.design import excite
 from torchid.excitation.synthetic import simulate
 from torchid.export.export import export_dynamics
@@ -46,6 +48,7 @@ from torchid.wrenches.deviation import wrench_errors
 from torchid_bench.benchmarks.cpu_time import machine
 from torchid_bench.benchmarks.gap_speed import case
 from torchid_bench.benchmarks.runner import command, table
+from torchid_bench.benchmarks.sysid_toolbox import sysid_toolbox
 
 COMMITTED = Path(__file__).with_name("ratios.json")
 SLOWER = 0.8
@@ -80,6 +83,16 @@ Line = tuple[str, Call, float, Call, float]
 """What it is; a peer's call and how often it does it; torchid's, and how often."""
 
 
+class NotInstalledError(ImportError):
+    """A line's peer is not installed: the line's name."""
+
+
+def require(package: str, line: str) -> None:
+    """Raise where a line's peer is not installed."""
+    if not find_spec(package):
+        raise NotInstalledError(line)
+
+
 def seconds(call: Call) -> float:
     """Processor time of one call."""
     start = time.process_time()
@@ -100,7 +113,7 @@ def ratio(line: Line, rounds: int) -> tuple[float, float, float]:
 
 
 def dynamics() -> Iterator[Line]:
-    """Newton-Euler and the regressor against Pinocchio's and MuJoCo's calls in a Python loop."""
+    """Newton-Euler and the regressor against MuJoCo's and Pinocchio's calls in a Python loop."""
     robot = load_robot("kuka_lwr4")
     generator = torch.Generator().manual_seed(0)
     motion = tuple(
@@ -108,29 +121,13 @@ def dynamics() -> Iterator[Line]:
     )
     rows = list(zip(*(x[:LOOPED].numpy() for x in motion), strict=True))
 
-    def torques() -> None:
-        inverse_dynamics(robot, *motion)
+    def torques() -> object:
+        return inverse_dynamics(robot, *motion)
 
     def rows_of_all() -> None:
         drain(regressor_chunks(robot, *motion))
 
-    if find_spec("pinocchio"):
-        from tests.oracles import PinocchioOracle
-
-        oracle = PinocchioOracle(robot)
-        pin, model, data = oracle.pin, oracle.model, oracle.data
-
-        def rnea() -> None:
-            for row in rows:
-                pin.rnea(model, data, *row)
-
-        def columns() -> None:
-            for row in rows:
-                pin.computeJointTorqueRegressor(model, data, *row)
-
-        yield "inverse dynamics, eager / Pinocchio", rnea, LOOPED, torques, SAMPLES
-        yield "torque regressor, eager / Pinocchio", columns, LOOPED, rows_of_all, SAMPLES
-    from tests.oracles import MujocoOracle
+    from tests.oracles import MujocoOracle, PinocchioOracle
 
     other = MujocoOracle(robot)
     mujoco, m, d = other.mujoco, other.model, other.data
@@ -141,14 +138,24 @@ def dynamics() -> Iterator[Line]:
             mujoco.mj_inverse(m, d)
 
     yield "inverse dynamics, eager / MuJoCo", inverse, LOOPED, torques, SAMPLES
+    require("pinocchio", "inverse dynamics and torque regressor, eager / Pinocchio")
+    oracle = PinocchioOracle(robot)
+    pin, model, data = oracle.pin, oracle.model, oracle.data
+
+    def each(call: Callable[..., object]) -> Call:
+        return lambda: [call(model, data, *row) for row in rows]
+
+    yield "inverse dynamics, eager / Pinocchio", each(pin.rnea), LOOPED, torques, SAMPLES
+    regressor = each(pin.computeJointTorqueRegressor)
+    yield "torque regressor, eager / Pinocchio", regressor, LOOPED, rows_of_all, SAMPLES
 
 
 def wrenches() -> Iterator[Line]:
     """All joints' wrenches of many sets at many instants, and their errors against one of the sets,
     against Pinocchio's, which computes those of one set at one instant in the same pass as torques;
     its arithmetic is the same for any set."""
-    if not find_spec("pinocchio"):
-        return
+    line = "internal wrenches, sets x instants / Pinocchio"
+    require("pinocchio", line)
     from tests.oracles import PinocchioOracle
 
     robot = load_robot("kuka_lwr4")
@@ -161,15 +168,17 @@ def wrenches() -> Iterator[Line]:
         for row in rows:
             oracle.pin.rnea(oracle.model, oracle.data, *row)
 
-    def errors() -> None:
-        wrench_errors(robot, *motion, sets, reference)
-
-    yield "internal wrenches, sets x instants / Pinocchio", rnea, LOOPED, errors, SETS * INSTANTS
+    yield (
+        line, rnea, LOOPED,
+        lambda: wrench_errors(robot, *motion, sets, reference), SETS * INSTANTS,
+    )  # fmt: skip
 
 
 def effects_in_mujoco(folder: Path) -> Iterator[Line]:
     """A plain mj_step against one with the effects of the file's sidecar: below 1, what they
     cost."""
+    line = "mj_step with effects, 128 arms / plain"
+    require("mujoco", line)
     import mujoco
 
     from torchid.simulators.mujoco import Effects
@@ -202,11 +211,12 @@ def effects_in_mujoco(folder: Path) -> Iterator[Line]:
             effects.step(torque)
 
     count = SIMULATIONS * STEPS
-    yield "mj_step with effects, 128 arms / plain", without, count, together, count
+    yield line, without, count, together, count
 
 
 def evolution() -> Iterator[Line]:
     """A generation of 30 runs in 30 variables against pycma's."""
+    require("cma", "CMA-ES, 30 runs / pycma")
     import cma
 
     from torchid.extraction.cma.batched import minimise
@@ -238,8 +248,9 @@ def evolution() -> Iterator[Line]:
 
 
 def identification() -> Iterator[Line]:
-    """Base parameters and friction from a log against boosted trees of each joint's torque, and
-    against FIGAROH's regressor, elimination and double QR of the same motion."""
+    """Base parameters and friction from a log against boosted trees of each joint's torque; of the
+    motion as it is, by plain least squares, against Pinocchio's regressor and one QR of all rows,
+    and against FIGAROH's regressor, elimination and double QR."""
     robot = load_robot("kuka_lwr4_friction")
     motion = excite(robot, duration=20.0, seed=0, restarts=1, iterations=0).log(250.0)
     log = simulate(robot, motion, noise=HonestNoise(), seed=0)
@@ -248,6 +259,8 @@ def identification() -> Iterator[Line]:
     assert log.tau is not None
     state = [x.numpy() for x in (motion.q, motion.dq, motion.ddq)]
     torques = log.tau.T.numpy()
+    name = "identify, 20 s / scikit-learn's boosting"
+    require("sklearn", name)
     from sklearn.ensemble import HistGradientBoostingRegressor
 
     features = np.concatenate(state, 1)
@@ -256,54 +269,59 @@ def identification() -> Iterator[Line]:
         for torque in torques:
             HistGradientBoostingRegressor(random_state=0).fit(features, torque)
 
-    name = "identify, 20 s / scikit-learn's boosting"
     yield name, boosted, 1, lambda: identify(robot, log), 1
-    try:
-        from figaroh.tools.qrdecomposition import QRDecomposer
-        from figaroh.tools.regressor import (
-            build_regressor_basic,
-            build_regressor_reduced,
-            get_index_eliminate,
-        )
-    except ImportError:
-        return
+    given = log.replace(dq=motion.dq, ddq=motion.ddq)
+    plain = Settings(effects=SAME, cutoff=None, reversal=0.0, rows="all", method="ols")
+    name = "identify by plain least squares / Pinocchio and one QR"
+    require("pinocchio", name)
     from tests.oracles import PinocchioOracle
 
     oracle = PinocchioOracle(replace(robot, effects=()))
+    measured, rows = torques.reshape(-1), list(zip(*state, strict=True))
+    rigid, one = oracle.pin.computeJointTorqueRegressor, np.eye(robot.n)
+    model, data = oracle.model, oracle.data
+
+    def pinocchio() -> None:
+        each = [(rigid(model, data, *x), one * x[1], one * np.sign(x[1]), one) for x in rows]
+        whole = np.column_stack([np.concatenate([np.hstack(x) for x in each]), torques.T.ravel()])
+        scipy.linalg.qr(whole, mode="r", pivoting=True, overwrite_a=True)
+
+    yield name, pinocchio, 1, lambda: identify(robot, given, settings=plain), 1
+    name = "identify by plain least squares / FIGAROH"
+    require("figaroh", name)
+    from figaroh.tools import qrdecomposition, regressor
+
     asked = {"act_idxv": range(robot.n), "has_friction": True, "has_joint_offset": True}
     names = {f"{k}": 0.0 for k in range(13 * robot.n)}
-    measured = torques.reshape(-1)
 
     def figaroh() -> None:
-        columns = build_regressor_basic(oracle, *state, asked)
-        left_out, kept = get_index_eliminate(columns, names)
-        reduced = build_regressor_reduced(columns, left_out)
-        QRDecomposer().double_decomposition(measured, reduced, kept)
+        columns = regressor.build_regressor_basic(oracle, *state, asked)
+        left_out, kept = regressor.get_index_eliminate(columns, names)
+        reduced = regressor.build_regressor_reduced(columns, left_out)
+        qrdecomposition.QRDecomposer().double_decomposition(measured, reduced, kept)
 
-    given = log.replace(dq=motion.dq, ddq=motion.ddq)
-    plain = Settings(effects=SAME, cutoff=None, reversal=0.0, rows="all", method="ols")
-    name = "identify by plain least squares / FIGAROH"
     yield name, figaroh, 1, lambda: identify(robot, given, settings=plain), 1
 
 
 def toolbox(folder: Path) -> Iterator[Line]:
     """Armature of each joint, which mujoco.sysid fits to rollouts, against all parameters of the
     same log."""
+    name = "identify, 3 s / mujoco.sysid, 7 armatures"
+    require("mujoco", name)
     import mujoco
-    from mujoco import rollout, sysid
+    from mujoco import rollout
 
-    if not hasattr(sysid, "optimize"):  # its own extras are missing
-        return
+    sysid = sysid_toolbox()
     robot = replace(arm("panda"), effects=())
     file = export_dynamics(robot, "mjcf", folder, nominal=robot, geometry="none").files[0]
     spec = mujoco.MjSpec.from_file(str(file))
     spec.option.timestep = 0.002
-    for name in robot.joint_names:
-        joint = spec.joint(name)
+    for own in robot.joint_names:
+        joint = spec.joint(own)
         joint.armature, joint.damping = 0.2, np.array([2.0, 0.0, 0.0])
         for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
             of_joint = mujoco.mjtObj.mjOBJ_JOINT
-            spec.add_sensor(name=f"{name}_{int(kind)}", type=kind, objtype=of_joint, objname=name)
+            spec.add_sensor(name=f"{own}_{int(kind)}", type=kind, objtype=of_joint, objname=own)
     model = spec.compile()
     data = mujoco.MjData(model)
     t = np.arange(1500) * model.opt.timestep
@@ -317,13 +335,13 @@ def toolbox(folder: Path) -> Iterator[Line]:
 
     def fitted() -> None:
         guess = sysid.ParameterDict()
-        for name in robot.joint_names:
+        for own in robot.joint_names:
 
-            def change(s: Any, p: Any, name: str = name) -> None:
-                s.joint(name).armature = p.value[0]
+            def change(s: Any, p: Any, own: str = own) -> None:
+                s.joint(own).armature = p.value[0]
 
-            guess.add(sysid.Parameter(name, 0.2, 1e-3, 1.0, modifier=change))
-            guess[name].value[:] = 0.1
+            guess.add(sysid.Parameter(own, 0.2, 1e-3, 1.0, modifier=change))
+            guess[own].value[:] = 0.1
         with redirect_stdout(io.StringIO()):
             sysid.optimize(guess, residual, verbose=False)
 
@@ -333,7 +351,6 @@ def toolbox(folder: Path) -> Iterator[Line]:
         torch.from_numpy(t[1:-1]), q, dq=dq, tau=torch.from_numpy(np.stack(waves, 1)[1:-1].copy())
     )
     settings = Settings(effects=SAME, cutoff=20.0, reversal=0.0, method="ols")
-    name = "identify, 3 s / mujoco.sysid, 7 armatures"
     yield name, fitted, 1, lambda: identify(robot, log, settings=settings), 1
 
 
@@ -376,12 +393,16 @@ def main(*, rounds: int = 9, save: bool = False) -> None:
             dynamics(), wrenches(), effects_in_mujoco(place), evolution(), identification(),
             toolbox(place / "toolbox"), diagnosis(place),
         )  # fmt: skip
-        for line in (line for some in every for line in some):
-            peer, ours, times = ratio(line, rounds)
-            found[line[0]] = float(f"{times:.3g}")
-            before = committed.get(line[0], "")
-            rows.append((line[0], f"{peer:.2f}", f"{ours:.2f}", f"{times:.3g}", before))
-            print(*rows[-1], flush=True)
+        for some in every:
+            try:
+                for line in some:
+                    peer, ours, times = ratio(line, rounds)
+                    found[line[0]] = float(f"{times:.3g}")
+                    before = committed.get(line[0], "")
+                    rows.append((line[0], f"{peer:.2f}", f"{ours:.2f}", f"{times:.3g}", before))
+                    print(*rows[-1], flush=True)
+            except (NotInstalledError, TorchidError) as missing:
+                print(f"not installed: {missing}", flush=True)
     table(("", "peer", "torchid", "ratio", "before"), rows)
     if save:
         COMMITTED.write_text(json.dumps(committed | found, indent=1) + "\n")

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin
 
+from torchid.errors import TorchidError
 from torchid.files import write_text
 
 
@@ -29,7 +30,7 @@ def command(
 
     Arguments are positional where the function's are, and options where these are keywords:
     `Sequence[T]` takes several words, `tuple[T, T]` two, `tuple[T, ...]` one with commas, `Literal` one of
-    its words, and a `bool` none. A number that the function returns is the exit code.
+    its words, and a `bool` none. A number that the function returns is the exit code; a TorchidError is printed, exit 1.
 
     Args:
         functions: one, or several of these names.
@@ -51,7 +52,11 @@ def command(
                 _add(own, parameter)
     given = vars(parser.parse_args(words))
     torch.set_num_threads(1)
-    if code := given.pop("function")(**given, **fixed):
+    try:
+        code = given.pop("function")(**given, **fixed)
+    except TorchidError as error:
+        sys.exit(f"error: {error}")
+    if code:
         sys.exit(code)
 
 

@@ -31,10 +31,6 @@ from torchid.results.cause import LINK
 from torchid.robot.model import Robot
 from torchid_bench.benchmarks.runner import command
 
-NOISE = 0.01
-"""Of a joint's torque, as a share of its RMS."""
-HARMONICS = 4
-
 
 def sines(robot: Robot, seconds: float, rate: float, seed: int) -> tuple[np.ndarray, ...]:
     """t, q, dq, ddq of sums of sines within the position limits."""
@@ -45,9 +41,10 @@ def sines(robot: Robot, seconds: float, rate: float, seed: int) -> tuple[np.ndar
     if limits is not None:
         bounded = np.clip(limits.numpy(), -2.0, 2.0)
         low, high = bounded[:, 0], bounded[:, 1]
-    omega = 2 * np.pi * draw.uniform(0.1, 0.9, (robot.n, HARMONICS))
+    harmonics = 4
+    omega = 2 * np.pi * draw.uniform(0.1, 0.9, (robot.n, harmonics))
     phase = draw.uniform(0, 2 * np.pi, omega.shape)
-    size = draw.uniform(0.3, 1.0, omega.shape) * 0.4 * ((high - low) / 2)[:, None] / HARMONICS**0.5
+    size = draw.uniform(0.3, 1.0, omega.shape) * 0.4 * ((high - low) / 2)[:, None] / harmonics**0.5
     angle = omega * t[:, None, None] + phase
     middle = (low + high) / 2
     q = middle + (size * np.sin(angle)).sum(-1)
@@ -105,7 +102,8 @@ def identify(
     rigid = torch.from_numpy(pinocchios(path, arm, q, dq, ddq))
     motion = Motion(*map(torch.from_numpy, (q, dq, ddq)))
     tau = rigid + effect_torque(arm, nominal_effects(arm), motion, rigid)
-    noise = torch.from_numpy(draw.standard_normal(tau.shape)) * NOISE * tau.square().mean(0).sqrt()
+    # 0.01: of a joint's torque, as a share of its RMS
+    noise = torch.from_numpy(draw.standard_normal(tau.shape)) * 0.01 * tau.square().mean(0).sqrt()
     log = torchid.Log(t, q, tau=tau + noise)
     names = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     before, begun = time.process_time(), time.perf_counter()

@@ -12,9 +12,6 @@ from torchid_bench.report.withheld import LINES, Line
 from torchid_bench.withheld.measures import drawn_cases, how_named, rate
 from torchid_bench.withheld.score import Scored
 
-CLOSES = 0.1
-"""Share that the oracle closes, below which a ratio to it says nothing."""
-
 NOTHING = {
     "no_gap": "(no gap)",
     "detected_unexplained": "(unexplained)",
@@ -65,7 +62,8 @@ def _closing(cases: Sequence[Scored], oracle: Mapping[str, float | None]) -> dic
     """How much of what could be closed is; cases in which the oracle closes next to nothing are
     left out, and counted."""
     told = [(c, oracle[c.case]) for c in cases if c.case in oracle]
-    ratios = [c.closed / best for c, best in told if best is not None and best >= CLOSES]
+    # 0.1: share that the oracle closes, below which a ratio to it says nothing
+    ratios = [c.closed / best for c, best in told if best is not None and best >= 0.1]
     return {
         "closed": median([c.closed for c in cases]),
         "oracle": median([best or 0.0 for _, best in told]),

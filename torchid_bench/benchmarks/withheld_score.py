@@ -79,12 +79,12 @@ def oracle_answers(
 ) -> Answers:
     """Answers of the diagnosis that is told, by case with one effect of the library."""
     single = [key for key in keys if key["kind"] == "single" and key["id"] in wanted]
-    settings = {key["id"]: told(key, GapSettings()) for key in single}
+    settings = {key["id"]: key_settings(key, GapSettings()) for key in single}
     known = {case: own for case, own in settings.items() if own is not None}
     return _beside("oracle", cases, known, None, jobs)
 
 
-def told(key: Mapping[str, Any], settings: GapSettings) -> GapSettings | None:
+def key_settings(key: Mapping[str, Any], settings: GapSettings) -> GapSettings | None:
     """Settings of the diagnosis that is told the key; None where the library lacks a cause, or
     there is none."""
     planted = key["effects"]

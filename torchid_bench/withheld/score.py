@@ -30,10 +30,6 @@ from torchid_bench.withheld.measures import (
 from torchid_bench.withheld.rows import Row, named_record, row_of
 from torchid_bench.withheld.run import ERROR
 
-CLEAR = 2.5
-"""Size of an effect, in standard deviations of the noise, from which it should be named: half of
-what is asked for. Some arms cannot have more of one: a spring softer than the controller bears."""
-
 
 @dataclass(frozen=True)
 class Scored:
@@ -95,6 +91,9 @@ def scores(cases: Sequence[Scored]) -> dict[str, Any]:
     groups = _by(single, lambda c: c.row.planted[0].name)
     out["by_effect"] = {name: _naming(groups[name]) for name in sorted(groups)}
     out |= {noise: _naming(some) for noise, some in _by_noise(single).items()}
+    # 2.5: size of an effect, in standard deviations of the noise, from which it should be named:
+    # half of what is asked for. Some arms cannot have more of one: a spring softer than the
+    # controller bears.
     return {
         # Of logs without any effect: whether anything is said to be there.
         "false_alarms": {
@@ -108,7 +107,7 @@ def scores(cases: Sequence[Scored]) -> dict[str, Any]:
             "parametric_only": rate(s.row.status == "parametric_only" for s in only_parameters),
         },
         "single": out,
-        "single_clear": _naming([c for c in single if c.row.planted[0].size >= CLEAR]),
+        "single_clear": _naming([c for c in single if c.row.planted[0].size >= 2.5]),
         # Of one effect of any size: whether a wrong family is named for sure.
         "wrong_for_sure": rate(
             verdict(c.row, every=False) == "confident_wrong" for c in single + severity

@@ -82,6 +82,7 @@ def study_command(
                 page.write_study(found, folder)
         about = page.seeds_and_settings(found)
         output.write_page(partial(page.study_page, found), file, files=files, **about)
+        output.finish()  # each study is whole by itself
         studies.append(found)
     records = [found.plain() for found in studies]
     together = {"schema": "torchid.studies/1", "studies": records}

@@ -30,11 +30,6 @@ from torchid_study.equal_torque.sample import EqualTorqueSpace
 KINDS = ("feasible", "inertia", "com", "total_mass", "inertia+com")
 """Kinds whose regions are convex; a negative mass makes its link's conditions another's."""
 
-_AXES = 1e-4
-"""Principal axes of G below this share of the largest count by a rougher bound."""
-_CLIMBS = 4
-_NEWTON_STEPS = 80
-
 
 @dataclass(frozen=True, eq=False)
 class ForceReach:
@@ -109,7 +104,8 @@ class _Cone:
         total, z = 0.0, self.origin
         # Thin directions together: l_k |e_k'z|^2 <= l |z|^2 would need |z|; each has its own pair.
         for value, axis in zip(values[::-1], vectors.T[::-1], strict=True):
-            if value <= _AXES**2 * values[-1]:
+            # 1e-4: principal axes of G below this share of the largest count by a rougher bound
+            if value <= 1e-4**2 * values[-1]:
                 break
             far = [self.furthest(sign * axis) for sign in (1.0, -1.0)]
             ends = [end for end in far if end is not None]
@@ -117,7 +113,8 @@ class _Cone:
                 return float("nan"), float("nan")
             total += value * max(float(axis @ end) ** 2 for end in ends)
             z = max([z, *ends], key=lambda end: float(end @ g @ end))
-        for _ in range(_CLIMBS):
+        # 4: starts of a climb
+        for _ in range(4):
             higher = self.furthest(g @ z)
             if higher is None or higher @ g @ higher <= z @ g @ z * (1 + 1e-6):
                 break
@@ -146,7 +143,8 @@ def _cone(space: EqualTorqueSpace, relaxed: frozenset[str]) -> _Cone | None:
     start, inside = interior_point(region)
     if not bool(inside[0]):
         return None
-    centre, axes = analytic_centre(region, start, _NEWTON_STEPS)
+    # 80: Newton steps at most
+    centre, axes = analytic_centre(region, start, 80)
     rows = _rows(region.at(centre, axes), with_bodies="inertia" not in relaxed)
     return _Cone(rows, centre[0].numpy(), axes[0].numpy())
 

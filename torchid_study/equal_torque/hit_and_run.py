@@ -14,7 +14,6 @@ from torchid.typing import Float, Tensor
 
 BURN_IN = 20
 """Draws left out first: 40 steps a dimension."""
-_PHASE_ONE_STEPS = 150
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +131,8 @@ def _first_stage(region: Region) -> tuple[Tensor, Tensor]:
     best, found = z[:, :d].clone(), torch.zeros(k, dtype=torch.bool)
     slope = torch.zeros_like(z)
     slope[:, -1] = 1 / slack
-    for _ in range(_PHASE_ONE_STEPS):
+    # 150: Newton steps at most
+    for _ in range(150):
         z, _, _ = _newton(widened, z, slope)
         now = _derivatives(region, z[:, :d])[2] & ~found
         best = torch.where(now.unsqueeze(-1), z[:, :d], best)

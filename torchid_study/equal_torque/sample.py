@@ -213,8 +213,6 @@ def kernel(matrix: Tensor) -> Tensor:
 
 SLIGHTEST = 0.02
 """Relaxation of the first chain of a kind; the last has 1, those between a geometric sequence."""
-FIRMEST = 0.5
-"""Degree that the most firmly feasible chain asks for, if there are such sets."""
 
 
 def relaxed_limits(
@@ -227,7 +225,8 @@ def relaxed_limits(
         # Feasible with a degree of at least: nothing in half of the chains, then growing from chain
         # to chain. Chains that ask for more than there is have an empty region.
         level = torch.linspace(-1.0, 1.0, chains, dtype=walk.x.dtype)
-        firm = _between(level.new_tensor(SLIGHTEST), level.new_tensor(FIRMEST), level).flatten()
+        # 0.5: degree that the most firmly feasible chain asks for, if there are such sets
+        firm = _between(level.new_tensor(SLIGHTEST), level.new_tensor(0.5), level).flatten()
         firm = torch.where(level > 0, firm, 0.0)
         by = firm.unsqueeze(-1)
         low, high = limits.com.unbind(-1)
@@ -319,12 +318,6 @@ RELAXABLE = ("inertia", "com", "mass", "total_mass")
 KINDS = (FEASIBLE, "inertia", "com", "mass", "total_mass", "inertia+com")
 DRAWS = 4
 """Draws for every set asked for; those kept are spread over the degrees."""
-STEPS_PER_DIMENSION = 2
-"""Hit-and-run steps between two draws, for every dimension of the null space. The autocorrelation
-time of a parameter is about 9 steps a dimension on the LWR (median; 25 for the slowest)."""
-
-_BINS = 10
-_NEWTON_STEPS = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -460,9 +453,13 @@ def _draw(
     if not len(rows):
         return walk.reference.part([]), rows
     region, start = region.part(rows), start[rows]
-    centre, axes = analytic_centre(region, start, _NEWTON_STEPS)
+    # 40: Newton steps at most
+    centre, axes = analytic_centre(region, start, 40)
     draws = math.ceil(DRAWS * per_kind / len(rows))
-    thin = STEPS_PER_DIMENSION * start.shape[1]
+    # 2: hit-and-run steps between two draws, for every dimension of the null space. The
+    # autocorrelation time of a parameter is about 9 steps a dimension on the LWR (median; 25 for
+    # the slowest).
+    thin = 2 * start.shape[1]
     seeds = generator.integers(2**62, size=chains)[rows.numpy()]
     y = hit_and_run(region.at(centre, axes), seeds.tolist(), draws, thin)
     z = centre.unsqueeze(1) + y @ axes.mT
@@ -489,10 +486,11 @@ def _chosen(
     degree = checked.degree[fitting].numpy()
     key = np.log(np.maximum(-degree, 1e-12)) if relaxed else degree
     low, high = np.quantile(key, [0.01, 1.0])
-    number = np.floor((key - low) / max(high - low, 1e-300) * _BINS).clip(0, _BINS - 1)
+    bins = 10
+    number = np.floor((key - low) / max(high - low, 1e-300) * bins).clip(0, bins - 1)
     order = generator.permutation(len(fitting))
     turn = np.empty(len(fitting))
-    for own in range(_BINS):
+    for own in range(bins):
         members = order[number[order] == own]
         turn[members] = np.arange(len(members))
     best = np.lexsort((number, turn))[:per_kind]

@@ -112,8 +112,6 @@ def kind_words(kind: str) -> str:
     return names.get(kind, kind)
 
 
-_NEARLY_ALL = 0.1
-"""Share of the force error that may be missing where it is called the carried mass's weight."""
 _COMPARED = (
     ("inertia only", "feasible"), ("CoM only", "feasible"), ("CoM only", "inertia only"),
 )  # fmt: skip
@@ -180,7 +178,8 @@ def weight_sentence(share: tuple[float, float, float]) -> str:
     sets, of whatever kind, do the masses alone count."""
     middle, low, high = share
     apart = max(abs(1 - low), abs(1 - high))
-    if apart <= _NEARLY_ALL:
+    # 0.1: share of the force error that may be missing where it is called the carried mass's weight
+    if apart <= 0.1:
         return (
             f"The force error is the weight of the carried mass's error to {100 * apart:.2g} % "
             "(95 % of all sets): what counts is how far the masses are off, whatever the reason "
@@ -212,10 +211,6 @@ COLOURS = {
     "total_mass": BROWN,
     "inertia+com": PURPLE,
 }
-_LINEAR = 1e-3
-"""Degrees smaller than this are drawn on a linear scale."""
-_MANY = 100
-"""Sets from which marks are small."""
 
 
 def figures(study: EqualTorqueStudy) -> Figures:
@@ -274,7 +269,8 @@ def error_by_degree(
     figure, axes = panel(10.5, 5.4)
     shown = np.maximum(error, 1e-12)
     for name, (rows, colour) in groups.items():
-        look = {"s": 11 if len(error) > _MANY else 22, "alpha": 0.55, "linewidths": 0}
+        # 100: sets from which marks are small
+        look = {"s": 11 if len(error) > 100 else 22, "alpha": 0.55, "linewidths": 0}
         axes.scatter(degree[rows], shown[rows], color=colour, label=name, **look)
         # Running median of six groups of neighbours.
         neighbours = np.array_split(np.argsort(degree[rows]), 6)
@@ -285,7 +281,8 @@ def error_by_degree(
     for k, name in named:
         place = (degree[k], shown[k])
         axes.annotate(name, place, (4, 3), textcoords="offset points", fontsize=7, color=INK)
-    axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.6)
+    # 1e-3: degrees smaller than this are drawn on a linear scale
+    axes.set_xscale("symlog", linthresh=1e-3, linscale=0.6)
     axes.margins(x=0.08)
     axes.set(yscale="log", ylabel=_ERROR)
     axes.tick_params(axis="y", which="minor", labelsize=7, labelcolor=INK)

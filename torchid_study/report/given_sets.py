@@ -9,10 +9,6 @@ from torchid_study.equal_torque.given_sets import GivenSets
 from torchid_study.report.equal_torque import by_class, class_table, error_by_degree
 from torchid_study.wrenches.classes import class_of
 
-_MOST_ROWS = 40
-_MOST_NAMED = 15
-"""Sets whose marks have names."""
-
 
 def report_of_given_sets(found: GivenSets, warnings: Sequence[str]) -> Report:
     """All that there is to see of given sets."""
@@ -29,14 +25,12 @@ def tables(found: GivenSets) -> list[Table]:
     return [set_table(found), *([class_table(found.comparison, title)] if several else [])]
 
 
-UNEQUAL = 0.01
-"""Relative difference of a joint's torque above which sets do not count as having equal torque."""
-
-
 def unequal_torque(found: GivenSets) -> list[str]:
     """Says when the sets do not have the reference's torque: then the forces differ for that."""
     worst = found.torque_relative.amax(-1)
-    count = int((worst > UNEQUAL).sum())
+    # 0.01: relative difference of a joint's torque above which sets do not count as having equal
+    # torque
+    count = int((worst > 0.01).sum())
     if count == 0:
         return []
     return [
@@ -67,9 +61,10 @@ def set_table(found: GivenSets) -> Table:
     own, worst = found.errors, found.errors.force_rms.amax(-1)
     shown = list(range(len(found.sets)))
     title = f"force error against {_reference(found)} [N], RMS over the motion"
-    if len(shown) > _MOST_ROWS:
-        shown = sorted(worst.argsort(descending=True)[:_MOST_ROWS].tolist())
-        title += f" (the {_MOST_ROWS} of {len(worst)} sets with the largest)"
+    most_rows = 40
+    if len(shown) > most_rows:
+        shown = sorted(worst.argsort(descending=True)[:most_rows].tolist())
+        title += f" (the {most_rows} of {len(worst)} sets with the largest)"
     rows = [
         (
             found.sets.ids[k], f"{float(found.checked.degree[k]):.2g}",
@@ -95,12 +90,13 @@ def figures(found: GivenSets) -> Figures:
 def degree_figure(found: GivenSets) -> Figure:
     """Largest force error against the degree; ids beside the marks where there are few."""
     classes = [class_of(found.checked.reasons(k)) for k in range(len(found.sets))]
+    # 15: sets whose marks have names
     return error_by_degree(
         f"{found.robot.name}: degree and force error",
         found.checked.degree.numpy(),
         found.errors.force_rms.amax(-1).numpy(),
         by_class(classes),
-        enumerate(found.sets.ids) if len(classes) <= _MOST_NAMED else (),
+        enumerate(found.sets.ids) if len(classes) <= 15 else (),
     )
 
 

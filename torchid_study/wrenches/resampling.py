@@ -22,8 +22,6 @@ LEAST_SETS = 5
 LEAST_CLUSTERS = 5
 """Clusters that an interval needs: with fewer, resampling shows little of the spread."""
 
-_PAIRS_AT_ONCE = 20_000
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -126,7 +124,8 @@ def hodges_lehmann_ratio(a: Array, b: Array) -> float:
     if len(a) == 0 or len(b) == 0 or min(a.min(), b.min()) <= 0:
         return float("nan")
     x, y = np.sort(np.log(a)), np.sort(np.log(b))
-    if len(a) * len(b) <= _PAIRS_AT_ONCE:
+    # 20_000: pairs that memory bears at once
+    if len(a) * len(b) <= 20_000:
         return float(np.exp(np.median(np.subtract.outer(x, y))))
     return float(np.exp(_median_difference(x, y)))
 

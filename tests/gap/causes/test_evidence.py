@@ -19,8 +19,10 @@ def test_a_fit_leaves_the_gap_less_its_terms() -> None:
 def test_terms_that_are_appended_have_the_normal_equations_of_all() -> None:
     of = search("viscous_friction")
     terms = [candidate(of, n, j) for n, j in (("viscous_friction", 1), ("joint_spring", 0))]
-    full = np.concatenate([of.evidence.columns(terms), of.library.gap[:, None]], 1)
-    np.testing.assert_allclose(of.evidence.normal(terms), full @ full.transpose(0, 2, 1), atol=1e-9)
+    slabs = of.evidence.slabs(terms)
+    columns = slabs.spread.T @ of.evidence.columns(terms)
+    full = np.concatenate([columns, of.library.gap[:, None]], 1)
+    np.testing.assert_allclose(slabs.normal, full @ full.transpose(0, 2, 1), atol=1e-9)
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])

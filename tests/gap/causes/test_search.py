@@ -35,6 +35,19 @@ def test_two_causes_are_found_together() -> None:
     assert names == {(e.name, e.joints) for e, _ in planted}
 
 
+def test_friction_that_the_file_has_and_the_arm_has_not_is_a_change_to_nothing() -> None:
+    """At the bound of what an arm can have: both laws are gone, and no other one acts backwards."""
+    names = ("viscous_friction", "coulomb_friction")
+    given = [PLANTED[name] for name in names]
+    wanted = wanted_of((*NAMES, "power_law_friction", "thermal_friction_drift"))
+    fit = Search(Library(problem_of(measured([]), wanted, given=given))).explanation().fit
+    found = {t.name: x.tolist() for t, x in zip(fit.terms, fit.values(), strict=True)}
+    gone = {name: [-x for x in values] for name, (_, values) in zip(names, given, strict=True)}
+    assert found.keys() == gone.keys()
+    for name, values in gone.items():
+        assert found[name] == pytest.approx(values, rel=0.1)
+
+
 def test_steps_are_told_and_no_set_comes_back() -> None:
     taken: list[frozenset[int]] = []
     of = Search(

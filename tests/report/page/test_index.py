@@ -36,7 +36,7 @@ def test_links_lead_from_the_page_to_the_files(folder, tmp_path):
 
 def test_the_terminal_lists_the_same(folder):
     assert [e.headline for e in entries(folder)] == [diagnosis().answer.headline] * 2
-    shown = report_of_folder(folder)
+    shown = report_of_folder(folder, entries(folder))
     assert shown.verdict.startswith("2 results below")
     assert len(shown.parts[0].rows) == 2
 

@@ -10,7 +10,7 @@ import pytest
 from tests.gap.diagnoses import FRICTION, OFFSET, VISCOUS, cause, diagnosis
 from tests.report.test_gap_page import SHORT, made
 from torchid.effects.friction import CoulombFriction
-from torchid.gap.told import told_bodies
+from torchid.gap.cause_records import body_cause
 from torchid.report.diagnosis import page
 from torchid.report.page.document import render
 
@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     """A page with several causes, a set, and links."""
     other = cause(CoulombFriction(2), 0.3, 0.02, how_sure=0.999, share=0.9)
     found = diagnosis(
-        causes=(FRICTION, other, VISCOUS, OFFSET, told_bodies((2,), share=0.1)),
+        causes=(FRICTION, other, VISCOUS, OFFSET, body_cause((2,), share=0.1)),
         **SHORT,
     )  # fmt: skip
     folder = tmp_path_factory.mktemp("page")

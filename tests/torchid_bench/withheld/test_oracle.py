@@ -9,7 +9,7 @@ from torchid_bench.benchmarks import withheld_score as references
 from torchid_bench.benchmarks.withheld_beside import closed_by
 from torchid_bench.withheld.case_set import keys_beside, make, read_keys
 
-oracle_answers, told = references.oracle_answers, references.told
+oracle_answers, key_settings = references.oracle_answers, references.key_settings
 
 
 def planted(*effects):
@@ -17,7 +17,7 @@ def planted(*effects):
 
 
 def test_settings_name_the_effect_and_its_joint():
-    found = told(planted(("coulomb_friction", [2])), GapSettings())
+    found = key_settings(planted(("coulomb_friction", [2])), GapSettings())
     assert found.only == (("coulomb_friction", 1),)
     assert (found.effects, found.parameters, found.max_effects) == (
         ("coulomb_friction",), "trusted", 1,
@@ -25,14 +25,14 @@ def test_settings_name_the_effect_and_its_joint():
 
 
 def test_an_effect_of_the_whole_arm_is_anywhere():
-    found = told(planted(("base_tilt", []), ("link_inertia", [3])), GapSettings())
+    found = key_settings(planted(("base_tilt", []), ("link_inertia", [3])), GapSettings())
     assert found.only == (("base_tilt", None), ("link_inertia", 2))
     assert (found.parameters, found.max_effects) == ("auto", 2)
 
 
 def test_what_the_library_lacks_cannot_be_told():
-    assert told(planted(("air_drag", [1])), GapSettings()) is None
-    assert told(planted(), GapSettings()) is None
+    assert key_settings(planted(("air_drag", [1])), GapSettings()) is None
+    assert key_settings(planted(), GapSettings()) is None
     with pytest.raises(TorchidError, match="unknown effect"):
         GapSettings(only=(("air_drag", 0),))
 

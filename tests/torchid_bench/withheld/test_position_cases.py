@@ -3,11 +3,12 @@
 import pytest
 import torch
 
+from torchid.effects.servo import INDEX
 from torchid.log.readers import read_log
 from torchid.position.model import ServoArm
 from torchid.position.replay import replay
 from torchid.robot.library import load_robot
-from torchid.simulation.servo import INDEX, Servos
+from torchid.simulation.servo import Servos
 from torchid_bench.withheld.case_set import write_case
 
 

@@ -37,10 +37,6 @@ LARGEST_STD = 1 / 3
 """Of a coordinate, in widths of the box."""
 SMALLEST_STD = 1e-12
 """Of the widest coordinate: below it, samples round to the mean."""
-TOLERANCE = 1 + 1e-9
-"""Within it a standard deviation is at its limit, and is left alone."""
-SMALLEST_EIGENVALUE = 1e-14
-"""Of a repaired covariance, relative to its largest."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +245,9 @@ def _limit(runs: _Runs) -> None:
     """Hold the standard deviations between SMALLEST_STD and LARGEST_STD."""
     spread = runs.covariance.diagonal(dim1=1, dim2=2).sqrt()
     stds = runs.sigma.unsqueeze(1) * spread
-    if bool((stds > LARGEST_STD * TOLERANCE).any()):
+    # Within it a standard deviation is at its limit, and is left alone
+    tolerance = 1 + 1e-9
+    if bool((stds > LARGEST_STD * tolerance).any()):
         scale = (LARGEST_STD / stds).clamp(max=1.0)
         runs.covariance *= scale.unsqueeze(2) * scale.unsqueeze(1)
         # Anew, not scaled: a continued search factors it anew too, to the same bits.
@@ -258,7 +256,7 @@ def _limit(runs: _Runs) -> None:
         spread = spread * scale
     widest = spread.amax(dim=1)
     torch.maximum(runs.sigma, SMALLEST_STD / widest, out=runs.sigma)
-    runs.adapts = runs.sigma * widest > SMALLEST_STD * TOLERANCE
+    runs.adapts = runs.sigma * widest > SMALLEST_STD * tolerance
 
 
 def _factor(covariance: Float[Tensor, "R n n"]) -> Float[Tensor, "R n n"]:
@@ -273,7 +271,8 @@ def _factor(covariance: Float[Tensor, "R n n"]) -> Float[Tensor, "R n n"]:
         finite = whole.isfinite().all(dim=(1, 2))
         values, vectors = torch.linalg.eigh(torch.where(finite[:, None, None], whole, eye))
         largest = values[:, -1:]
-        values = torch.where(largest > 0, values.maximum(SMALLEST_EIGENVALUE * largest), 1.0)
+        # 1e-14: of a repaired covariance, relative to its largest
+        values = torch.where(largest > 0, values.maximum(1e-14 * largest), 1.0)
         covariance[bad] = (vectors * values.unsqueeze(1)) @ vectors.mT
         factor[bad] = torch.linalg.cholesky_ex(covariance[bad])[0]
     return factor

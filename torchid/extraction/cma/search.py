@@ -66,7 +66,7 @@ class SearchState:
         return SearchState(**rows, generation=parts[0].generation)
 
     def to(self, device: torch.device | str) -> "SearchState":
-        """The same state on another device."""
+        """This state on another device."""
         moved = {name: t.to(device) for name, t in self.tensors().items()}
         return SearchState(**moved, generation=self.generation)
 

@@ -44,9 +44,6 @@ from torchid.typing import Float, Numbers, Tensor
 
 Kind = Literal["exact", "least loss", "confidence"]
 
-EXACT = 1e-8
-"""Least norm of the residual, relative to the target's, that counts as reproduced exactly."""
-
 
 @dataclass(frozen=True, eq=False)
 class Region:
@@ -70,7 +67,8 @@ def least_loss_region(problem: Problem, body: ConvexSets, slack: float) -> Regio
     most (1 + slack) times the least loss."""
     matrix, offset = loss_matrix(problem)
     least = body.least_norm(matrix, offset)
-    if not least.solution.usable or least.value <= EXACT * float(np.linalg.norm(offset)):
+    # 1e-8: least norm of the residual, relative to the target's, that counts as reproduced exactly
+    if not least.solution.usable or least.value <= 1e-8 * float(np.linalg.norm(offset)):
         # Without any feasible set the ends say so.
         return Region(_on_solutions(body, matrix, offset), "exact", 0.0)
     radius = float(np.sqrt(1 + slack) * least.value)
@@ -122,12 +120,6 @@ def _on_solutions(body: ConvexSets, matrix: np.ndarray, offset: np.ndarray) -> C
     rank = int((size > 1e-10 * size[0]).sum())
     origin = -vh[:rank].T @ ((u[:, :rank].T @ b) / size[:rank])
     return body.on(vh[rank:].T, origin)
-
-
-_KNOWN = 1e-12
-"""Share of a parameter that the sets can change, below which it is the same for all."""
-_CLOSE = 1e-5
-"""Gap between an end and its proof, relative to its size, up to which the proven value is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +282,7 @@ class _Quantity:
 
 
 def _quantities(problem: Problem, box: np.ndarray) -> list[_Quantity]:
-    """All of them, with the centres of mass in a box (n, 3, 2)."""
+    """All quantities that an atlas bounds, with the centres of mass in a box (n, 3, 2)."""
     n = problem.n
     found = []
     for k, (name, unit) in enumerate(zip(parameter_names(n), parameter_units(n), strict=True)):
@@ -319,7 +311,8 @@ def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Sta
     space = sets if quantity.mass is None else _over_mass(sets, quantity.mass)
     row = np.zeros(len(sets.origin))
     row[quantity.column] = sign
-    if np.abs(row @ space.basis).max(initial=0.0) <= _KNOWN * np.abs(space.basis).max(initial=1.0):
+    # 1e-12: share of a parameter that the sets can change, below which it is the same for all
+    if np.abs(row @ space.basis).max(initial=0.0) <= 1e-12 * np.abs(space.basis).max(initial=1.0):
         # The same for all: nothing to minimise, but some set must exist.
         row = 0.0 * row
     found, _ = space.least(row)
@@ -335,7 +328,9 @@ def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Sta
     if row.any():
         # The bound of the minimum where it is close, else the value.
         gap, least = found.value - found.bound, found.value + sign * value
-        close = 0 <= gap <= _CLOSE * max(abs(least), abs(found.value), 1e-9)
+        # 1e-5: gap between an end and its proof, relative to its size, up to which the proven value
+        # is given
+        close = 0 <= gap <= 1e-5 * max(abs(least), abs(found.value), 1e-9)
         value += sign * (found.bound if close else found.value)
     value = float(np.clip(value, quantity.low, quantity.high))
     return value, found.status, sets.x(v) if inverse > 0 else nothing

@@ -28,12 +28,6 @@ from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets
 
-NOTICEABLE = 1e-3
-"""Share of phi_min by which releasing a condition must lower it to be listed."""
-NEARLY_ZERO = 1e-3
-"""Share of a least loss that counts as none."""
-_ACTIVE = 1e-7
-"""Multipliers below this share of the largest are zero."""
 NOTHING_SHARE = 1e-6
 """A least norm below this share of the offset's needs no explanation."""
 
@@ -75,7 +69,8 @@ def forcing_conditions(
     if found.bound <= NOTHING_SHARE * float(np.linalg.norm(offset)):
         return {}, ()
     first: dict[str, float] = {}
-    goal, group, left = NEARLY_ZERO * found.value**2, list[str](), found
+    # 1e-3: share of a least loss that counts as none
+    goal, group, left = 1e-3 * found.value**2, list[str](), found
     while left.value**2 > goal:
         rest = body.without(group)
         trials = {
@@ -101,7 +96,8 @@ def forcing_conditions(
 def _active(body: ConvexSets, found: Solution) -> list[str]:
     """Conditions whose multipliers are not zero: without any other, the optimum stays."""
     sizes = [float(np.linalg.norm(z)) for z in found.multipliers[: len(body.rows)]]
-    least = _ACTIVE * max(sizes)
+    # 1e-7: multipliers below this share of the largest are zero
+    least = 1e-7 * max(sizes)
     # Not "s > least": a multiplier that is not a number counts.
     names = [r.name for r, s in zip(body.rows, sizes, strict=True) if not s <= least]
     return list(dict.fromkeys(names))
@@ -113,10 +109,6 @@ INSIDE_SHARE = 1e-9
 """Share of the other conditions' sizes by which such a set keeps away from them."""
 _SMALLER = (1.0, 1e-2)
 """Shares of STRICT that are tried in turn."""
-_STEPS = 30
-"""At most, towards the bounds of inertias, for a set that is outside them."""
-_WORTH = 1e-6
-"""Relative decrease of the loss for which another is made."""
 
 
 class Certificate(CertificateRecord, frozen=True, eq=False, kw_only=True):
@@ -199,7 +191,8 @@ def certificate(
     )
     released, forcing = forcing_conditions(free, matrix, offset, found) if explain else ({}, ())
     phi_min = found.bound**2
-    lower = [(name, phi) for name, phi in released.items() if phi < phi_min * (1 - NOTICEABLE)]
+    # 1e-3: share of phi_min by which releasing a condition must lower it to be listed
+    lower = [(name, phi) for name, phi in released.items() if phi < phi_min * (1 - 1e-3)]
     return Certificate(
         feasible=True,
         phi_min=phi_min,
@@ -249,6 +242,8 @@ class _Question(AskedSets):
         it can be: each step is the best of sets that are within the bounds for certain, near the
         last one's centres of mass (the convex-concave procedure).
         """
+        # Relative decrease of the loss for which another is made
+        worth = 1e-6
         for strict in (self.margin + share * STRICT_EIGENVALUE for share in _SMALLER):
             relaxed = self._best(strict, None, matrix, offset)
             if relaxed is None:
@@ -257,14 +252,15 @@ class _Question(AskedSets):
             if not outside:
                 return _Inner(*relaxed, strict, ())
             sets, phi = relaxed[0], np.inf
-            for _ in range(_STEPS):
+            # 30: at most, towards the bounds of inertias, for a set that is outside them
+            for _ in range(30):
                 step = self._best(strict, sets.parameters.com[0].numpy(), matrix, offset)
-                if step is None or step[1] >= (1 - _WORTH) * phi:
+                if step is None or step[1] >= (1 - worth) * phi:
                     break
                 sets, phi = step
             if np.isinf(phi):
                 return _Inner(*relaxed, strict, outside)
-            reached = phi <= (1 + _WORTH) * relaxed[1] + NOTHING_SHARE**2 * float(offset @ offset)
+            reached = phi <= (1 + worth) * relaxed[1] + NOTHING_SHARE**2 * float(offset @ offset)
             return _Inner(sets, phi, strict, () if reached else outside)
         return None
 

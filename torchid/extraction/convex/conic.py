@@ -32,10 +32,6 @@ Status = Literal["solved", "inexact", "infeasible", "unbounded", "failed"]
 ATTEMPTS = ((1e-10, False), (1e-10, True), (1e-8, False), (1e-6, True))
 """Relative tolerance asked of the solver, and whether it scales the rows (they come well scaled):
 one after the other while it fails."""
-ACCEPTED = 1e-6
-"""Reached: worse than this is a failure, between the two `inexact`."""
-_FAR = 100.0
-"""Bound on |v| where none is known, in units of the solution's largest entry."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +104,10 @@ def minimise(
     ]
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_iter, settings.max_threads = False, 300, 1
-    settings.reduced_tol_feas = settings.reduced_tol_gap_abs = ACCEPTED
-    settings.reduced_tol_gap_rel = ACCEPTED
+    # Reached: worse than this is a failure, between the two `inexact`
+    accepted = 1e-6
+    settings.reduced_tol_feas = settings.reduced_tol_gap_abs = accepted
+    settings.reduced_tol_gap_rel = accepted
     for tolerance, scaled in ATTEMPTS:
         settings.equilibrate_enable = scaled
         settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = tolerance
@@ -124,7 +122,8 @@ def minimise(
         nothing = np.full(d, np.nan)
         return Solution(status, nothing, np.nan, -np.inf, multipliers)
     z = _dual_feasible(cost, rows, matrix, multipliers)
-    far = np.full(d, _FAR * max(1.0, float(np.abs(point).max())))
+    # 100.0: bound on |v| where none is known, in units of the solution's largest entry
+    far = np.full(d, 100.0 * max(1.0, float(np.abs(point).max())))
     limit = far if radius is None else np.where(np.isfinite(radius), radius, far)
     bound = -offset @ z - np.abs(cost - matrix.T @ z) @ limit
     return Solution(status, point, float(cost @ point), float(bound), multipliers)

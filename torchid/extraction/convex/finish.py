@@ -20,17 +20,6 @@ from torchid.feasibility.sets import coefficient_reasons
 from torchid.robot.inertia import second_moment
 from torchid.typing import Float, Tensor
 
-_SLACK = 1e-3
-"""Share of the least loss that nearness to the search's end may cost beside it."""
-_STEPS = 30
-_WORTH = 1e-3
-"""Relative decrease of the loss for which the bounds of inertias are linearised anew."""
-_SLIVER = 1e-6
-"""Share of a bound's span left where bounds and conditions exclude each other: a set then keeps to
-the face of the bounds that is nearest to the condition."""
-_LEAST = 1e-9
-"""Smallest eigenvalue of second moments that inertias within bounds must allow, over their size."""
-
 
 def finished(
     problem: Problem, p: Float[Tensor, "R D"], *, conditions: bool = True
@@ -72,9 +61,11 @@ def _end(
     nearness = np.diag(1 / np.maximum(span, 1e-9 * span.max()))
     com: np.ndarray | None = problem.split(p)[1].numpy()
     asked, margin = AskedSets(problem, conditions), STRICT_EIGENVALUE if conditions else 0.0
-    for _ in range(_STEPS):
+    # 30: linearisations of the bounds at most
+    for _ in range(30):
         body = asked.body(margin, com).without(without).tightened(INSIDE_SHARE)
-        region = least_loss_region(problem, body, _SLACK)
+        # 1e-3: share of the least loss that nearness to the search's end may cost beside it
+        region = least_loss_region(problem, body, 1e-3)
         found = region.sets.least_norm(nearness, -nearness @ start)
         if not found.solution.usable and com is not None and least == np.inf:
             # No set near the run's centres of mass: those of the relaxed bounds may do.
@@ -84,7 +75,8 @@ def _end(
             break
         sets = sets_of(found.x[None], problem.n, problem.target.effects, ["end"])
         phi = float(problem.residual_of_vector(sets.vector).square().sum())
-        if phi >= (1 - _WORTH) * least:
+        # 1e-3: relative decrease of the loss for which the bounds of inertias are linearised anew
+        if phi >= (1 - 1e-3) * least:
             break
         if com is not None:
             best, least = sets.search_vector[0], phi
@@ -111,7 +103,9 @@ def attainable(problem: Problem) -> tuple[Problem, tuple[str, ...]]:
     box[:n] = box[:n].clamp(min=0.0)
     own, wanted = box[n : 4 * n], asked.com_box.reshape(-1, 2).to(box)
     below, above = own[:, 0] >= wanted[:, 1], own[:, 1] <= wanted[:, 0]
-    sliver = _SLIVER * (own[:, 1] - own[:, 0])
+    # 1e-6: share of a bound's span left where bounds and conditions exclude each other: a set then
+    # keeps to the face of the bounds that is nearest to the condition
+    sliver = 1e-6 * (own[:, 1] - own[:, 0])
     low = torch.where(below, own[:, 0], torch.where(above, own[:, 1] - sliver, wanted[:, 0]))
     high = torch.where(below, own[:, 0] + sliver, torch.where(above, own[:, 1], wanted[:, 1]))
     missed = (below | above).nonzero().flatten().tolist()
@@ -159,4 +153,6 @@ def _physical(bounds: Float[Tensor, "6 2"]) -> bool:
             Rows("bounds", "nonnegative", ends, offset, none),
         ],
     )
-    return found.usable and -found.value > _LEAST
+    # 1e-9: smallest eigenvalue of second moments that inertias within bounds must allow, over their
+    # size
+    return found.usable and -found.value > 1e-9

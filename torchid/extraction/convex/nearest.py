@@ -29,12 +29,8 @@ from torchid.typing import Bool, Float, Tensor
 
 MARGIN = 1e-6
 """Smallest eigenvalue of the pseudo-inertias of a nearest set [kg m^2, kg]."""
-INSIDE = 1e-9
-"""Share of the other conditions' sizes by which it keeps away from them."""
 SLACK_SHARE = 0.01
 """Share of the least cost that smaller changes of parameters may cost beside it."""
-FREE_SHARE = 1e-6
-"""Share of the set's own torque that counts as no cost."""
 LARGEST_CHANGE = 100.0
 """Change of the parameters at most, in their links' sizes: without it the least cost in torque may
 be approached by masses that grow without end."""
@@ -151,9 +147,10 @@ class _Question:
 
     def _cheapest(self, x0: np.ndarray, margins: list[float]) -> Nearest:
         """Least torque, then least change; the bound is that of the torque."""
+        # 1e-9: share of the other conditions' sizes by which it keeps away from them
         body = convex_sets(
             self.robot, self.sets.effects, self.conditions, None, margin=margins
-        ).tightened(INSIDE)
+        ).tightened(1e-9)
         # The size of each parameter, from its link's mass and inertia.
         n, sizes = self.robot.n_links, np.ones_like(x0)
         columns = [link_columns(n, link) for link in range(n)]
@@ -170,7 +167,8 @@ class _Question:
         if not first.solution.usable:
             return first
         torque = float(np.linalg.norm(self.factor @ x0))
-        radius = max((1 + self.slack) * first.value, FREE_SHARE * torque)
+        # 1e-6: share of the set's own torque that counts as no cost
+        radius = max((1 + self.slack) * first.value, 1e-6 * torque)
         near = body.plus([body.ball(self.factor, -self.factor @ x0, radius, "torque")])
         second = near.least_norm(weights, -weights @ x0)
         cost = float(np.linalg.norm(self.factor @ (second.x - x0)))

@@ -279,15 +279,9 @@ class RowBuilder:
             self.interval(f"{c.name}_{effect.joint + 1}", {10 * self.n + k: 1.0}, low, high)
 
 
-_REACHED = 1e-2
-"""Distance to such a condition, relative to it, at which it is reached."""
-_ZERO = 1e-6
-"""A least norm below this share of the offset's is not solved again in its own unit."""
-
-
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """A least norm.
+    """The point of a set with the least norm, and how it was reached.
 
     Attributes:
         solution: of the solver; its multipliers end with those of the norm.
@@ -324,8 +318,9 @@ class ConvexSets:
 
     def touches_reach(self, v: np.ndarray) -> bool:
         """Whether v is at a condition that only keeps the sets bounded, and could go on."""
+        # 1e-2: distance to such a condition, relative to it, at which it is reached
         return any(
-            bool((row.matrix @ v + row.offset <= _REACHED * row.inward).any())
+            bool((row.matrix @ v + row.offset <= 1e-2 * row.inward).any())
             for row in self.rows
             if row.name.startswith("reach_")
         )
@@ -336,7 +331,7 @@ class ConvexSets:
         return tuple(name for name in self.names if name.startswith("reach_"))
 
     def without(self, names: Iterable[str]) -> "ConvexSets":
-        """The same with conditions left out. What bounded v may have gone: radius is unknown."""
+        """These sets with conditions left out. What bounded v may have gone: radius is unknown."""
         out = set(names)
         kept = tuple(r for r in self.rows if r.name not in out)
         return replace(self, rows=kept, radius=np.full_like(self.radius, np.inf))
@@ -365,7 +360,7 @@ class ConvexSets:
         return self.basis @ v + self.origin
 
     def on(self, basis: np.ndarray, origin: np.ndarray) -> "ConvexSets":
-        """The same conditions for v = basis w + origin."""
+        """These conditions for v = basis w + origin."""
         rows = tuple(
             replace(r, matrix=r.matrix @ basis, offset=r.matrix @ origin + r.offset)
             for r in self.rows
@@ -385,7 +380,8 @@ class ConvexSets:
         """
         unit = max(float(np.linalg.norm(offset)), 1e-300)
         best = self._least_norm(matrix, offset, unit)
-        if best.solution.usable and best.value > _ZERO * unit:
+        # 1e-6: a least norm below this share of the offset's is not solved again in its own unit
+        if best.solution.usable and best.value > 1e-6 * unit:
             again = self._least_norm(matrix, offset, best.value)
             if again.solution.usable and again.bound >= best.bound:
                 best = again
@@ -502,12 +498,12 @@ class AskedSets:
 
     @property
     def conditions(self) -> Conditions | None:
-        """Those that count."""
+        """The conditions that count."""
         return self.problem.conditions if self.with_conditions else None
 
     @property
     def box(self) -> Float[np.ndarray, "n 3 2"]:
-        """Of the centres of mass."""
+        """The box of the centres of mass."""
         bounds = self.problem.bounds if self.com_bounds else None
         return com_box(self.problem.n, self.conditions, bounds)
 

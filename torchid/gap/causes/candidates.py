@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -25,7 +25,8 @@ from torchid.design.deflection import Compliance, compliance
 from torchid.design.resonance import Swing
 from torchid.effects.base import Effect, JointEffect, ModelEffect
 from torchid.effects.file_mistakes import FileMistake
-from torchid.effects.gravity import BaseTilt, EncoderOffset, KinematicError, TorqueCrosstalk
+from torchid.effects.gravity import BaseTilt, EncoderOffset, KinematicError
+from torchid.effects.inertia import Payload
 from torchid.effects.motion import Motion
 from torchid.effects.phase import JointElasticity
 from torchid.effects.registry import KINDS
@@ -34,9 +35,9 @@ from torchid.gap.causes.scale import Scale
 from torchid.gap.causes.windows import Windows
 from torchid.gap.data import Data
 from torchid.gap.problem import Problem
-from torchid.gap.wanted import BASE, LINK
+from torchid.gap.wanted import BASE
 from torchid.identification.knowledge import known_names
-from torchid.results.cause import When
+from torchid.results.cause import LINK, When
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import BODY_STD, WRONG_BODY
 
@@ -61,9 +62,6 @@ ROUNDING = 1e-9
 
 FLAT = (EncoderOffset, KinematicError, BaseTilt)
 """Smooth changes of the model: evaluated on decimated samples, filtered before and not after."""
-
-LATER = ("backlash",)
-"""Effects whose columns are costly: evaluated on joints where something is left to explain."""
 
 AS_LOGGED = 0.2
 """Correlation of logged torque with the model's from which other sensors may read it [1]: much else
@@ -159,6 +157,19 @@ class Term:
         return self.name + "".join(f" {j + 1}" for j in self.joints)
 
 
+class Pack(NamedTuple):
+    """Candidates with equally many coefficients, of single joints or of the arm, whose columns are
+    views of one array.
+
+    Attributes:
+        terms: M of them, joint by joint.
+        columns: (n, M, C, N) of all joints; n is 1 of single joints.
+    """
+
+    terms: list[Term]
+    columns: np.ndarray
+
+
 def excluding(terms: Sequence[Term], gone: Sequence[Term]) -> tuple[Term, ...]:
     """Terms but for some of them."""
     return tuple(t for t in terms if all(t is not g for g in gone))
@@ -182,6 +193,7 @@ class Library:
         torque, size: (n,) RMS of the measured torque and of the gap [N m; N].
         nuisance: what is always fitted; None of a model that is taken as it is.
         terms: candidates.
+        packs: the same, side by side.
     """
 
     def __init__(self, problem: Problem, events: Sequence[Effect] = (), at: Model | None = None):
@@ -208,9 +220,31 @@ class Library:
         self.nuisance = self._nuisance()
         self.windows = Windows(self.samples, self.asked)
         made = (self.of_event(e) for e in events)
-        self.terms = self._with_shapes(
-            [*self._of_joints(), *self._of_the_arm(), *self._bodies(), *made]
-        )
+        self.terms: list[Term] = []
+        self.packs: list[Pack] = []
+        # What columns of one kind were made in holds those of the next.
+        for some in (self._of_joints(), self._of_the_arm(), self._bodies(), made):
+            self.add(self._with_shapes(some))
+
+    def add(self, terms: list[Term]) -> None:
+        """Candidates that are looked at from now on."""
+        groups: dict[tuple[bool, int], list[int]] = {}
+        for k, t in enumerate(terms):
+            groups.setdefault((t.place is None, t.count), []).append(k)
+        packs, at = list[Pack](), dict[int, tuple[Pack, int]]()
+        for (of_arm, count), own in groups.items():
+            own.sort(key=lambda k: terms[k].place or 0)
+            shape = self.n if of_arm else 1, len(own), count, self.gap.shape[1]
+            packs.append(Pack([terms[k] for k in own], np.empty(shape)))
+            at |= {k: (packs[-1], m) for m, k in enumerate(own)}
+        # In the order of the library; each lets go of its own columns.
+        for k, t in enumerate(terms):
+            pack, m = at[k]
+            view = pack.columns[:, m].transpose(1, 0, 2) if t.place is None else pack.columns[0, m]
+            view[...] = t.columns
+            terms[k] = pack.terms[m] = replace(t, columns=view)
+        self.packs += packs
+        self.terms += terms
 
     @property
     def unexplained(self) -> np.ndarray:
@@ -369,8 +403,8 @@ class Library:
 
     def _kinds(self) -> list[type[Effect]]:
         """Effects that are looked for and that the log can show."""
-        kinds = [KINDS[name] for name in self.problem.wanted.names if name not in LATER]
-        return [k for k in kinds if not (k.needs & self.data.missing or k.windowed)]
+        kinds = [KINDS[name] for name in self.problem.wanted.names]
+        return [k for k in kinds if not (k.needs & self.data.missing or k.windowed or k.costly)]
 
     def _of_joints(self) -> Iterable[Term | None]:
         """Effects of one joint's motion, in all shapes of their grids."""
@@ -405,7 +439,8 @@ class Library:
                 continue
             if kind.of_bodies and not bodies:
                 continue
-            effects = [self._swinging(e) for e in kind.starts(robot) if self._told(e, there)]
+            begun = cast(list[ModelEffect], kind.starts(robot))
+            effects = [self._swinging(e) for e in begun if self._told(e, there)]
             if effects:
                 for effect, (place, columns) in zip(effects, self._columns(effects), strict=True):
                     yield self.term(effect, place, columns)
@@ -416,13 +451,13 @@ class Library:
     def _told(self, effect: ModelEffect, there: Sequence[bool]) -> bool:
         """Whether the log can tell of an effect: not on silent joints, nor of a sensor that reads a
         torque that is not there."""
-        if isinstance(effect, TorqueCrosstalk) and not there[effect.read]:
+        if not all(there[j] for j in effect.reads):
             return False
         return not effect.joints or any(self.keep[j].any() for j in effect.joints)
 
     def _shared(self, kind: type[Effect]) -> Term | None:
         """One coefficient that all joints share."""
-        each = kind.candidates(self.columns.model.robot)  # type: ignore[attr-defined]
+        each = kind.candidates(self.columns.model.robot)
         columns = sum(self.columns.on_all_joints(e) for e in each).numpy()  # type: ignore[union-attr]
         joints = tuple(range(self.n))
         key = (kind.name, "shared")
@@ -438,8 +473,8 @@ class Library:
         for kind in self._kinds():
             if not issubclass(kind, FileMistake):
                 continue
-            each = [e for e in kind.starts(robot) if isinstance(e, FileMistake)]
-            made = [(e, e.change(robot)) for e in each]
+            begun = cast(list[FileMistake], kind.starts(robot))
+            made = [(e, e.change(robot)) for e in begun]
             made = [(e, change) for e, change in made if bool(change.any())]
             for effect, change in made:
                 columns = torch.tensordot(change, regressor, 2).unsqueeze(0).numpy()
@@ -456,22 +491,14 @@ class Library:
         regressor = self.columns.regressor.numpy()
         pi = robot.require_parameters("a diagnosis").pi.double()
         size, none = body_sizes(pi).numpy(), np.full(10, np.inf)
-        if "payload" in wanted.names and not robot.tips:
-            effect = KINDS["payload"]()
+        if Payload.name in wanted.names and not robot.tips:
+            load = Payload()
             mass = LOAD * max(float(pi[:, 0].abs().sum()), self.scale.mass)
             lever = LEVER * self.scale.length
             std = mass * np.array([1.0] + [lever] * 3 + [lever**2] * 6)
             low = np.where(np.arange(10) == 0, 0.0, -np.inf)
             yield self._sized(
-                "payload",
-                effect,
-                None,
-                regressor[-1],
-                std,
-                low,
-                none,
-                key=effect.identity,
-                joints=(),
+                load.name, load, None, regressor[-1], std, low, none, key=load.identity, joints=()
             )
         if not wanted.inertial or wanted.free:
             return
@@ -548,12 +575,11 @@ class Library:
     def plays(self, joints: Iterable[int]) -> list[Term]:
         """Backlash on some joints."""
         out: list[Term] = []
-        for name in LATER:
-            kind = KINDS[name]
-            if name not in self.problem.wanted.names or kind.needs & self.data.missing:
+        for kind in (KINDS[name] for name in self.problem.wanted.names):
+            if not kind.costly or kind.needs & self.data.missing:
                 continue
             for j in joints:
-                some = [e for e in kind.starts(self.columns.model.robot) if e.joint == j]  # type: ignore[attr-defined]
+                some = [e for e in kind.starts(self.columns.model.robot) if e.joints == (j,)]
                 found = zip(some, self._columns(some), strict=True) if some else ()
                 out += self._with_shapes(self.term(e, place, x) for e, (place, x) in found)
         return out
@@ -563,9 +589,9 @@ def columns_of(columns: Columns, effects: Sequence[Effect]) -> list[tuple[Place,
     """Columns of effects of one kind, as `Columns.of` has them. What a sensor reads of another
     joint's torque is the torque that the log has: the model's lacks what no cause explains yet."""
     first = effects[0] if effects else None
-    if isinstance(first, TorqueCrosstalk):
+    if first is not None and first.reads:
         torque = logged(columns)
-        return [(e.joint, torque[[e.read]]) for e in effects]  # type: ignore[attr-defined]
+        return [(e.joints[0], torque[list(e.reads)]) for e in effects]
     if isinstance(first, JointEffect) or len(effects) == 1:
         return [columns.of(e) for e in effects]
     return list(columns.of_several(effects))  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -137,7 +137,7 @@ def pushes(library: Library, left: np.ndarray, weight: np.ndarray) -> list[Term]
     if Contact.name not in library.problem.wanted.names or not len(spans):
         return []
     robot = library.columns.model.robot
-    ends = [c for c in Contact.candidates(robot) if isinstance(c, Contact)]
+    ends = cast(list[Contact], Contact.candidates(robot))
     again = counterparts(library.problem.given.samples, library.problem.repeats)
     kinds = [[_Force(library, place, left, weight, again) for place in some]
              for some in (ends, Contact.links(robot)) if some]  # fmt: skip

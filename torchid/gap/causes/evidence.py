@@ -18,6 +18,7 @@ alone, and two explanations are compared with the same samples, both fitted with
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -27,7 +28,7 @@ from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.wanted import BASE
 from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.statistics.criteria import WRONG_FILE
-from torchid.statistics.evidence import price_of, solved, whitening
+from torchid.statistics.evidence import beside, in_slabs, price_of, root_of, solved
 
 PINS = 3
 """Times that coefficients beyond what physics allows are held at their bound."""
@@ -69,6 +70,25 @@ class Fit:
         return out
 
 
+class Slabs(NamedTuple):
+    """Terms in units of their slabs.
+
+    Attributes:
+        normal: (n, K + 1, K + 1) normal matrices, the gap last.
+        spread: (K, K) root of the slabs' covariance.
+        middle: (K,) where coefficients are expected, in units of their slabs.
+        low, high: (K,) their bounds.
+        of: (K,) serials of their terms.
+    """
+
+    normal: np.ndarray
+    spread: np.ndarray
+    middle: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    of: np.ndarray
+
+
 class Evidence:
     """Fits of sets of a library's terms, and their comparison.
 
@@ -82,7 +102,7 @@ class Evidence:
         self.floor = library.known_noise**2 * self.rows
         self.nuisance = () if library.nuisance is None else (library.nuisance,)
         self._pairs: dict[tuple[int, int], np.ndarray] = {}
-        self._sets: dict[tuple[int, ...], np.ndarray] = {}
+        self._sets: dict[tuple[int, ...], Slabs] = {}
         self._left: dict[int, tuple[Fit, np.ndarray]] = {}
         self._slow: dict[int, torch.Tensor] = {}
         self.refresh()
@@ -111,7 +131,7 @@ class Evidence:
         return out
 
     def _pair(self, one: Term, other: Term) -> np.ndarray:
-        """Products (n, C, D) of two terms' columns, joint by joint."""
+        """Products (n, C, D) of two terms' columns in units of their slabs, joint by joint."""
         key = one.serial, other.serial
         if key not in self._pairs:
             out = np.zeros((self.n, one.count, other.count))
@@ -123,12 +143,13 @@ class Evidence:
             elif not places:
                 a, b = one.columns.transpose(1, 0, 2), other.columns.transpose(1, 2, 0)
                 out[:] = a @ b
+            out = one.spread.T @ out @ other.spread
             self._pairs[key] = out
             self._pairs[key[::-1]] = out.transpose(0, 2, 1)
         return self._pairs[key]
 
     def _target(self, term: Term) -> np.ndarray:
-        """Products (n, C) of a term's columns with the gap."""
+        """The same (n, C) with the gap."""
         key = term.serial, -1
         if key not in self._pairs:
             out = np.zeros((self.n, term.count))
@@ -136,44 +157,58 @@ class Evidence:
                 out[:] = np.einsum("cnN,nN->nc", term.columns, self.gap)
             else:
                 out[term.place] = term.columns @ self.gap[term.place]
-            self._pairs[key] = out
+            self._pairs[key] = out @ term.spread
         return self._pairs[key]
 
-    def normal(self, terms: Sequence[Term]) -> np.ndarray:
-        """Normal matrices (n, K + 1, K + 1) of terms, the gap last; one more term is appended to
-        those of the others."""
+    def slabs(self, terms: Sequence[Term]) -> Slabs:
+        """Of terms: what is kept of one more, without it, or of one fewer, the last appended."""
         key = tuple(t.serial for t in terms)
-        if key in self._sets:
-            return self._sets[key]
+        if key not in self._sets:
+            found = self._without_one(key) or self._appended(terms)
+            if len(self._sets) >= KEPT:
+                del self._sets[next(iter(self._sets))]
+            self._sets[key] = found
+        return self._sets[key]
+
+    def _without_one(self, key: tuple[int, ...]) -> Slabs | None:
+        """Of terms that are kept with one more among them; None where they are not."""
+        for more, (g, spread, *ends, owner) in self._sets.items():
+            if len(more) != len(key) + 1:
+                continue
+            gone = next((a for a, b in zip(more, key, strict=False) if a != b), more[-1])
+            if tuple(x for x in more if x != gone) == key:
+                stays = owner != gone
+                rows = np.append(stays, True)
+                own = (x[stays] for x in (*ends, owner))
+                return Slabs(g[:, rows][:, :, rows], spread[stays][:, stays], *own)
+        return None
+
+    def _appended(self, terms: Sequence[Term]) -> Slabs:
+        """Of terms, the last beside what is kept of the others."""
         if not terms:
-            out = (self.gap**2).sum(1).reshape(-1, 1, 1)
-        else:
-            rest, last = terms[:-1], terms[-1]
-            before = self.normal(rest)
-            k, c = before.shape[1] - 1, last.count
-            out = np.zeros((self.n, k + c + 1, k + c + 1))
-            out[:, :k, :k], out[:, -1, -1] = before[:, :k, :k], before[:, k, k]
-            out[:, :k, -1] = out[:, -1, :k] = before[:, :k, k]
-            first = 0
-            for t in rest:
-                some = self._pair(t, last)
-                out[:, first : first + t.count, k : k + c] = some
-                out[:, k : k + c, first : first + t.count] = some.transpose(0, 2, 1)
-                first += t.count
-            out[:, k : k + c, k : k + c] = self._pair(last, last)
-            out[:, k : k + c, -1] = out[:, -1, k : k + c] = self._target(last)
-        if len(self._sets) >= KEPT:
-            del self._sets[next(iter(self._sets))]
-        self._sets[key] = out
-        return out
+            none, squares = np.zeros(0), (self.gap**2).sum(1).reshape(-1, 1, 1)
+            return Slabs(squares, np.zeros((0, 0)), none, none, none, none)
+        rest, last = terms[:-1], terms[-1]
+        before, spread, *ends = self.slabs(rest)
+        k, c = len(spread), last.count
+        g = np.zeros((self.n, k + c + 1, k + c + 1))
+        g[:, :k, :k], g[:, -1, -1] = before[:, :k, :k], before[:, k, k]
+        g[:, :k, -1] = g[:, -1, :k] = before[:, :k, k]
+        new = np.concatenate([self._pair(t, last) for t in terms], 1)
+        g[:, :-1, k:-1], g[:, k:-1, :k] = new, new[:, :k].transpose(0, 2, 1)
+        g[:, k:-1, -1] = g[:, -1, k:-1] = self._target(last)
+        root = np.zeros((k + c, k + c))
+        root[:k, :k], root[k:, k:] = spread, last.spread
+        middle = np.linalg.solve(last.spread, last.centre) if last.centre.any() else np.zeros(c)
+        own = middle, last.low, last.high, np.full(c, last.serial)
+        return Slabs(g, root, *(np.append(a, b) for a, b in zip(ends, own, strict=True)))
 
     def white(self, terms: Sequence[Term], weight: np.ndarray) -> np.ndarray:
         """Whitened coordinates B' (K, K) of terms' columns, joints by weights (n,): B B' is the
         covariance of their coefficients."""
-        spread = spread_of(terms)
-        h = np.tensordot(weight, self.normal(terms), 1)[:-1, :-1]
-        root, size = whitening(spread.T @ h @ spread)
-        return solve_triangular(root, spread.T / size[:, None], lower=True)
+        g, spread, *_ = self.slabs(terms)
+        h = np.tensordot(weight, g, 1)[:-1, :-1]
+        return solve_triangular(root_of(h), spread.T, lower=True)
 
     # ------------------------------------------------------------------ fits
 
@@ -184,20 +219,19 @@ class Evidence:
             samples: (n,) that each joint's squares count as.
         """
         terms = tuple(terms)
-        every = (*self.nuisance, *terms)
-        g = self.normal(every)
-        spread, centre = spread_of(every), centre_of(every)
-        low = np.concatenate([np.zeros(0), *(t.low for t in every)])
-        high = np.concatenate([np.zeros(0), *(t.high for t in every)])
-        pinned, at = np.zeros(len(low), bool), np.zeros(len(low))
+        g, spread, middle, low, high, _ = self.slabs((*self.nuisance, *terms))
         slack = 1e-9 * np.abs(spread).max(1, initial=0.0)
+        centre = at = spread @ middle
+        pinned, free = np.zeros(len(low), bool), None
         for _ in range(PINS):
-            x, losses, known = solved(g, spread, samples, self.floor, pinned, at, centre)
+            z, losses, known = solved(g, samples, self.floor, middle, free)
+            x = np.where(pinned, at, spread @ z)
             below = (x < low - slack) & ~pinned
             if not below.any():
                 break
             pinned |= below
-            at = np.where(pinned, low, 0.0)
+            at = np.where(pinned, low, centre)
+            middle, free = in_slabs(spread, at), beside(spread, pinned)
         return Fit(terms, samples, x, losses, known, self._allowed(terms, x, low, high, pinned))
 
     def _allowed(
@@ -214,7 +248,8 @@ class Evidence:
             return False
         for t in terms:
             own = slice(first, first + t.count)
-            gone = pinned[own]
+            # What the file has and the arm has none of is a change, and is there.
+            gone = pinned[own] & (low[own] >= 0)
             essential = t.effect.essential if t.effect is not None else ()
             needed = list(essential) or list(range(t.count))
             if all(gone[k] for k in needed):
@@ -302,17 +337,3 @@ class Evidence:
         if not b.allowed:
             return math.inf if a.allowed else 0.0
         return self.value(a) - self.value(b)
-
-
-def spread_of(terms: Sequence[Term]) -> np.ndarray:
-    """Root (K, K) of the covariance of the slabs of terms."""
-    out, k = np.zeros((sum(t.count for t in terms),) * 2), 0
-    for t in terms:
-        out[k : k + t.count, k : k + t.count] = t.spread
-        k += t.count
-    return out
-
-
-def centre_of(terms: Sequence[Term]) -> np.ndarray:
-    """Where the coefficients (K,) of terms are expected."""
-    return np.concatenate([np.zeros(0), *(t.centre for t in terms)])

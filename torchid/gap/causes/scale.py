@@ -9,7 +9,6 @@ from torchid.design.columns import Columns
 from torchid.design.motion import velocity_lag
 from torchid.effects.base import Effect
 from torchid.effects.parameters import QUANTILE_OF
-from torchid.effects.phase import FilterLag
 from torchid.robot.shapes import reach
 from torchid.statistics.criteria import BEYOND_ROBOT
 from torchid.typing import Float, Tensor
@@ -57,7 +56,7 @@ class Scale:
         own, of = list(joints) or slice(None), self._of_units(joints)
         on_robot = [BEYOND_ROBOT * of.get(c.unit, torch.inf) for c in effect.coefficients]
         largest = [most for _, most in effect.ranges]
-        if isinstance(effect, FilterLag):
+        if effect.logs_late == "velocity":
             on_robot = [self.lag]
         if effect.scale_of_torque:
             both, model, logged = (x[own].sum() for x in self.products)

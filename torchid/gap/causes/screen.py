@@ -11,62 +11,86 @@ never needed; those with a term of the fit are made once.
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from torchid.design.columns import Place
-from torchid.gap.causes.candidates import Term
+from torchid.gap.causes.candidates import Pack, Term
 from torchid.gap.causes.evidence import Evidence, Fit
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Candidates of one place with equally many coefficients.
+    """Candidates with equally many coefficients, of single joints, joint by joint, or of the arm.
 
     Attributes:
         terms: M of them.
-        columns: (M, C, N), or (n, M C, N) of all joints.
-        own: (n, M, C, C) products of each one's columns; n is 1 of one joint.
+        places: (M C,) joint of each column; none of the arm's.
+        columns: by joint (m C, N), of those that are on it; of the arm's all, (M C, N).
+        own: (n, M, C, C) products of each one's columns; n is 1 of single joints.
+        spread, low: (M, C, C) and (M, C) of each one's slab.
+        paid: (M,) price of its shapes and forms, less what another sensor tells of it [nats].
     """
 
-    place: Place
     terms: tuple[Term, ...]
-    columns: np.ndarray
+    places: np.ndarray
+    columns: dict[int, np.ndarray]
     own: np.ndarray
     spread: np.ndarray
     low: np.ndarray
     paid: np.ndarray
 
     @classmethod
-    def of(cls, place: Place, terms: list[Term], evidence: Evidence) -> "Stack":
-        """Of candidates of a place."""
-        count, size = len(terms), terms[0].count
-        if place is None:
-            every = np.stack([t.columns for t in terms])  # (M, C, n, N)
-            flat = np.ascontiguousarray(every.transpose(2, 0, 1, 3))
-            own = flat @ flat.transpose(0, 1, 3, 2)
-            columns = flat.reshape(len(flat), count * size, -1)
+    def of(cls, pack: Pack, evidence: Evidence) -> "Stack":
+        """Of candidates side by side."""
+        terms, each = pack
+        size, places = terms[0].count, np.zeros(0, int)
+        flat = each.reshape(len(each), len(terms) * size, -1)
+        if terms[0].place is None:
+            columns = dict(enumerate(flat))
         else:
-            columns = np.stack([t.columns for t in terms])
-            own = (columns @ columns.transpose(0, 2, 1))[None]
+            places = np.repeat([t.place or 0 for t in terms], size)
+            joints, first = np.unique(places, return_index=True)
+            columns = dict(zip(joints.tolist(), np.split(flat[0], first[1:]), strict=True))
+        own = each @ each.transpose(0, 1, 3, 2)
         spread, low = np.stack([t.spread for t in terms]), np.stack([t.low for t in terms])
         forms = (t.shapes * evidence.forms.get(t.cause, 1) for t in terms)
         paid = np.array([math.log(f) - t.extra for f, t in zip(forms, terms, strict=True)])
-        return cls(place, tuple(terms), columns, own, spread, low, paid)
+        return cls(tuple(terms), places, columns, own, spread, low, paid)
 
-    def with_gap(self, gap: np.ndarray) -> np.ndarray:
-        """Products (n, M C) of the columns with samples (n, N); n is 1 of one joint."""
-        if self.place is None:
-            return (self.columns @ gap[..., None])[..., 0]
-        return (self.columns @ gap[self.place]).reshape(1, -1)
+    @property
+    def of_joints(self) -> bool:
+        """Whether they are of single joints."""
+        return bool(len(self.places))
 
-    def with_term(self, columns: np.ndarray) -> np.ndarray:
-        """Products (n, K, M C) with columns (n, K, N) of a term; n is 1 of one joint."""
-        if self.place is None:
-            return columns @ self.columns.transpose(0, 2, 1)
-        flat = self.columns.reshape(-1, self.columns.shape[-1])
-        return (columns[self.place] @ flat.T)[None]
+    def with_rows(self, rows: np.ndarray, place: Place) -> np.ndarray:
+        """Products (n, K, M C) of the columns with rows (n, K, N), or with those (K, N) of one
+        joint; n is 1 where either are of single joints."""
+        out = np.zeros((1, rows.shape[-2], len(self.places)))
+        if not self.of_joints:
+            if place is not None:
+                return (rows @ self.columns[place].T)[None]
+            return np.stack([rows[j] @ x.T for j, x in self.columns.items()])
+        for j, x in self.columns.items():
+            if place is None or j == place:
+                out[0][:, self.places == j] = (rows[j] if place is None else rows) @ x.T
+        return out
+
+    def weighted(self, products: np.ndarray, weight: np.ndarray, place: Place) -> np.ndarray:
+        """Sum (K, M C) over the joints of products `with_rows`, with weights (n,) of the joints."""
+        if self.of_joints:
+            return products[0] * weight[self.places]
+        if place is not None:
+            return products[0] * weight[place]
+        return (weight @ products.reshape(len(weight), -1)).reshape(products.shape[1:])
+
+    def squares(self, weight: np.ndarray) -> np.ndarray:
+        """The same of each one's columns with themselves, (M, C, C)."""
+        if not self.of_joints:
+            return np.tensordot(weight, self.own, 1)
+        return self.own[0] * weight[self.places].reshape(*self.low.shape, 1)
 
 
 OF_A_PLACE = 3
@@ -82,28 +106,34 @@ class Screen:
 
     def __init__(self, evidence: Evidence):
         self.evidence = evidence
-        groups: dict[tuple[Place, int], list[Term]] = {}
-        for t in evidence.library.terms:
-            groups.setdefault((t.place, t.count), []).append(t)
-        self.stacks = [Stack.of(place, terms, evidence) for (place, _), terms in groups.items()]
-        self._with_gap = [s.with_gap(evidence.gap) for s in self.stacks]
+        self.stacks: list[Stack] = []
+        self._with_gap: list[np.ndarray] = []
         self._with_term: dict[int, list[np.ndarray]] = {}
+        self.refresh()
 
-    def add(self, terms: list[Term]) -> None:
-        """Candidates that are looked at from now on."""
-        groups: dict[tuple[Place, int], list[Term]] = {}
-        for t in terms:
-            groups.setdefault((t.place, t.count), []).append(t)
-        new = [Stack.of(place, some, self.evidence) for (place, _), some in groups.items()]
+    def refresh(self) -> None:
+        """Look at the candidates that the library has got."""
+        new = [Stack.of(p, self.evidence) for p in self.evidence.library.packs[len(self.stacks) :]]
         self.stacks += new
-        self._with_gap += [s.with_gap(self.evidence.gap) for s in new]
+        self._with_gap += [s.with_rows(self.evidence.gap[:, None], None) for s in new]
         self._with_term.clear()
 
-    def products(self, term: Term) -> list[np.ndarray]:
+    def cross(self, terms: Sequence[Term], weight: np.ndarray) -> list[np.ndarray]:
+        """Products (K, M C) of the columns of terms with those of every stack, joints by weights
+        (n,)."""
+        parts = [self._products(t) for t in terms]
+        return [
+            np.concatenate(
+                [s.weighted(p[k], weight, t.place) for p, t in zip(parts, terms, strict=True)]
+            )
+            for k, s in enumerate(self.stacks)
+        ]
+
+    def _products(self, term: Term) -> list[np.ndarray]:
         """Products of a term's columns with those of every stack."""
         if term.serial not in self._with_term:
-            columns = self.evidence.columns([term])
-            self._with_term[term.serial] = [s.with_term(columns) for s in self.stacks]
+            x = term.columns if term.place is not None else term.columns.transpose(1, 0, 2)
+            self._with_term[term.serial] = [s.with_rows(x, term.place) for s in self.stacks]
         return self._with_term[term.serial]
 
     def best(
@@ -138,24 +168,25 @@ class Screen:
         every = (*evidence.nuisance, *fit.terms)
         weight = samples / fit.losses
         white = evidence.white(every, weight)
+        crosses = self.cross(every, weight) if every else []
         best: dict[object, tuple[float, Term]] = {}
         for k, stack in enumerate(self.stacks):
-            own_weight = weight if stack.place is None else weight[[stack.place]]
             m, c = stack.low.shape
-            right = own_weight @ self._with_gap[k]
-            g = np.tensordot(own_weight, stack.own, 1)
+            right = stack.weighted(self._with_gap[k], weight, None)[0]
+            g = stack.squares(weight)
             if every:
-                parts = [np.tensordot(own_weight, self.products(t)[k], 1) for t in every]
-                cross = np.concatenate(parts)
-                right = right - fit.x @ cross
-                u = (white @ cross).reshape(-1, m, c)
-                g = g - np.einsum("kmc,kmd->mcd", u, u, optimize=True)
+                right = right - fit.x @ crosses[k]
+                u = white @ crosses[k]
+                g = g - (_squares(u).reshape(m, 1, 1) if c == 1 else _blocks(u, c))
             a = stack.spread.transpose(0, 2, 1) @ g @ stack.spread + np.eye(c)
             b = (right.reshape(m, 1, c) @ stack.spread)[:, 0]
             if c == 1:
-                z, size = b / a[:, 0], np.log(np.maximum(a[:, 0, 0], 1e-300))
-                gains = 0.5 * (b * z).sum(1) - 0.5 * size
-                gains[(z * stack.spread[:, 0] < stack.low)[:, 0]] = -np.inf
+                # At its bound a coefficient that the file has is gone, which is a change; another
+                # one is not there.
+                least = stack.low / stack.spread[:, 0]
+                z, size = np.maximum(b / a[:, 0], least), np.log(np.maximum(a[:, 0, 0], 1e-300))
+                gains = (b * z - 0.5 * a[:, 0] * z**2).sum(1) - 0.5 * size
+                gains[((z <= least) & (least >= 0))[:, 0]] = -np.inf
             else:
                 z = np.linalg.solve(a, b[..., None])[..., 0]
                 gains = 0.5 * (b * z).sum(1) - 0.5 * np.linalg.slogdet(a)[1]
@@ -164,3 +195,14 @@ class Screen:
                     best[term.key] = gain, term
         there = {t.key for t in fit.terms} | without
         return sorted((p for key, p in best.items() if key not in there), key=lambda p: -p[0])
+
+
+def _squares(u: np.ndarray) -> np.ndarray:
+    """Of columns (K, M), (M,)."""
+    return np.einsum("km,km->m", u, u)
+
+
+def _blocks(u: np.ndarray, size: int) -> np.ndarray:
+    """Products (M, C, C) of each C columns of (K, M C) with one another."""
+    some = u.T.reshape(-1, size, len(u))
+    return some @ some.transpose(0, 2, 1)

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from torchid.effects.base import JointEffect, ModelEffect
+from torchid.effects.inertia import Payload
 from torchid.gap.causes.candidates import Library, Term, excluding
 from torchid.gap.causes.events import planes, pushes
-from torchid.gap.causes.evidence import Evidence, Fit, centre_of, spread_of
+from torchid.gap.causes.evidence import Evidence, Fit
 from torchid.gap.causes.screen import Screen
 from torchid.parallel.pace import Pace
 from torchid.statistics.blocks import block_numbers
@@ -156,7 +157,7 @@ class Search:
     def as_loads(self, fit: Fit) -> Fit:
         """Errors of a link that are a load as well are told as one: nothing but the file tells
         which they are."""
-        loads = [t for t in self.library.terms if t.name == "payload"]
+        loads = [t for t in self.library.terms if t.name == Payload.name]
         for k, term in enumerate(fit.terms):
             for load in (t for t in loads if same_columns(t, term) and t is not term):
                 terms = (*fit.terms[:k], load, *fit.terms[k + 1 :])
@@ -376,10 +377,10 @@ class Search:
         there = {(t.key, t.effect) for t in self.library.terms}
         terms = [t for t in terms if (t.key, t.effect) not in there]
         if terms:
-            self.library.terms += terms
+            self.library.add(terms)
             self.evidence.refresh()
             self._rises.clear()
-            self.screen.add(terms)
+            self.screen.refresh()
 
     # ------------------------------------------------------------------ worth
 
@@ -399,16 +400,16 @@ class Search:
             gap = gap - np.tensordot(
                 np.concatenate([x for _, x in once]), evidence.columns([t for t, _ in once]), (0, 1)
             )
-        centre = centre_of(every)
-        full, spread = np.concatenate([evidence.columns(every), gap[:, None]], 1), spread_of(every)
+        _, spread, middle, *_ = evidence.slabs(every)
+        full = np.concatenate([spread.T @ evidence.columns(every), gap[:, None]], 1)
         parts = {}
         for p in np.unique(part):
             some = full[:, :, part == p]
             parts[p] = some @ some.transpose(0, 2, 1)
         whole, out = sum(parts.values()), np.zeros(evidence.n)
         for g in (g for p, g in parts.items() if p >= 0):
-            x, _, _ = solved(whole - g, spread, fit.samples, evidence.floor, centre=centre)
-            v = np.append(x, -1.0)
+            z, _, _ = solved(whole - g, fit.samples, evidence.floor, middle)
+            v = np.append(z, -1.0)
             out += (v @ g) @ v
         rows = np.maximum(self.library.keep[:, part >= 0].sum(1), 1.0)
         return np.sqrt(np.maximum(out, 1e-300) / rows)

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import torch
 
-from torchid.effects.base import JointEffect
 from torchid.effects.registry import KINDS
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.explain import Explained
 from torchid.gap.causes.judge import Judged, is_one_curve
-from torchid.gap.wanted import BASE, LINK
+from torchid.gap.wanted import BASE
+from torchid.results.cause import LINK
 from torchid.statistics.criteria import LIKELY, SET_MASS
 from torchid.typing import Float, Tensor
 
@@ -38,7 +38,7 @@ class Claim:
 
     @property
     def term(self) -> Term:
-        """Which it is."""
+        """The term that is claimed."""
         return self.judged.term
 
     @property
@@ -131,7 +131,7 @@ class Claim:
         return self.alone_sure + sum(alike)
 
     def beside(self, shrinks: Float[Tensor, " n"]) -> "Claim":
-        """The same beside data that were not fitted.
+        """This claim beside data that were not fitted.
 
         Args:
             shrinks: (n,) probability that each joint's error is less with what is told.
@@ -192,7 +192,7 @@ def with_a_name(claims: Sequence[Claim], shares: Sequence[float]) -> list[bool]:
 def at_an_end(library: Library, term: Term) -> tuple[str, ...]:
     """Shapes at the end of their range: a term with one has become another effect there."""
     effect = term.effect
-    if not isinstance(effect, JointEffect) or not effect.shapes:
+    if effect is None:
         return ()
     given = any(e == effect for e, _ in library.problem.given.model.effects)
     return () if given else tuple(effect.at_an_end(library.columns.motions))
@@ -205,7 +205,7 @@ def _name_beside(other: Term, term: Term) -> str:
 
 
 def branch_of(term: Term) -> str:
-    """Of the tree of causes."""
+    """The branch of the tree of causes that a term is on."""
     return KINDS[LINK if term.name == BASE else term.name].branch
 
 

@@ -33,10 +33,6 @@ from torchid.typing import Float, Tensor
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0)
 """Shares of the instants below which a size is given of what is left."""
 
-SURELY_NOISE = 0.9
-"""Share of what is left that is noise at most, at one end of the interval: as much may be the
-model's own misfit, and noise measured too large would leave no room for any."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Closing(HowFar):
@@ -141,7 +137,9 @@ def closing(
         largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
         ends.append(torch.maximum(largest, noise).sum().expand(DRAWS))
     # There is no more noise than what is left.
-    most = [torch.minimum(e, share * last) for e in ends for share in (1.0, SURELY_NOISE)]
+    # 0.9: share of what is left that is noise at most, at one end of the interval: as much may be
+    # the model's own misfit, and noise measured too large would leave no room for any
+    most = [torch.minimum(e, share * last) for e in ends for share in (1.0, 0.9)]
     intervals = [percentile_interval(closed_share(first, last, e).numpy()) for e in most]
     # The share itself, from all blocks; the interval holds it and the draws at all ends.
     left = rms[1].square().sum()

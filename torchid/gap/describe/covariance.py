@@ -4,7 +4,8 @@ from torchid.effects.inertia import LinkInertia
 from torchid.effects.registry import EVENTS
 from torchid.gap.describe.model import Part, Solution
 from torchid.gap.record import Coefficient, Covariance
-from torchid.gap.wanted import BASE, LINK
+from torchid.gap.wanted import BASE
+from torchid.results.cause import LINK
 from torchid.robot.inertia import PARAMETERS_PER_LINK
 
 

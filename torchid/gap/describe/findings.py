@@ -11,26 +11,20 @@ from msgspec import UNSET, UnsetType
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import Samples, when
 from torchid.effects.base import Effect
-from torchid.effects.spring import JointSpring
-from torchid.effects.transient import Contact
+from torchid.gap.cause_records import body_cause, body_change, effect_cause, how_named
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.search import same_columns
 from torchid.gap.describe.claims import Claim, at_an_end, branch_of, with_a_name
-from torchid.gap.describe.model import PAYLOAD, Explanation, Solution
+from torchid.gap.describe.model import Explanation, Solution
 from torchid.gap.describe.replication import replication
 from torchid.gap.describe.shares import Shares
 from torchid.gap.diagnosis import HowFar
-from torchid.gap.told import body_change, how_named, told, told_bodies
-from torchid.gap.wanted import BASE, LINK
-from torchid.results.cause import Cause, JudgedOn, Window
-from torchid.results.words import count
+from torchid.gap.wanted import BASE
+from torchid.results.cause import LINK, Cause, JudgedOn, Window
+from torchid.results.words import PAYLOAD, count
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
-
-SAME_NATS = 0.05
-"""Difference of evidence below which another cause leaves the same, and no data of this kind tell
-the two apart [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +55,7 @@ class Taken:
 
     @classmethod
     def of(cls, taken: Shares, far: HowFar) -> "Taken":
-        """Of an error before and after."""
+        """Shares of the error before, of causes and of the bars."""
         return cls(*taken.of_all(far.less), taken.of_bars(far.rms_before, far.rms_after))
 
 
@@ -112,10 +106,10 @@ def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[s
     own |= how_named(branch_of(one.term), sure, alone, wide)
     if one.term.parametric:
         links = one.term.joints if one.term.name == LINK else ()
-        return told_bodies(links, _change(found, links, corrected), **own)
+        return body_cause(links, _change(found, links, corrected), **own)
     part, values, std = solution.parts[at], solution.values[at], solution.std[at]
     effect, many = part.effects[0], len(part.effects) > 1
-    return told(
+    return effect_cause(
         (effect, values.tolist()), std.tolist(), solution.start, solution.model, solution.main(at),
         joints=_felt(found, at), located=() if many else effect.joints, common=many,
         replication=replication(solution, at, samples), window=_window(samples, effect),
@@ -125,10 +119,10 @@ def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[s
 
 def _window(samples: Samples, effect: Effect) -> Window | UnsetType:
     """When a push was, in the time of its log."""
-    if not isinstance(effect, Contact) or effect.start is None or effect.stop is None:
+    if effect.span is None:
         return UNSET
-    name, start = when(samples.segments, effect.start)
-    return Window(name, start, start + effect.stop - effect.start)
+    name, start = when(samples.segments, effect.span[0])
+    return Window(name, start, start + effect.span[1] - effect.span[0])
 
 
 def _change(found: Explanation, links: Sequence[int], corrected: Robot) -> str:
@@ -146,7 +140,9 @@ def _separable(found: Explanation, one: Claim) -> Term | None:
             continue
         again, fit = found.instead(one.term, other), found.fit
         differs = 0.5 * fit.samples * np.log(again.losses / fit.losses)
-        if np.abs(differs).sum() >= SAME_NATS:
+        # 0.05: difference of evidence below which another cause leaves the same, and no data of
+        # this kind tell the two apart [nats]
+        if np.abs(differs).sum() >= 0.05:
             return other
     return None
 
@@ -160,7 +156,7 @@ def _felt(found: Explanation, k: int) -> tuple[int, ...]:
     return tuple(felt.nonzero().flatten().tolist())
 
 
-def _told(solution: Solution, k: int) -> int:
+def _known_directions(solution: Solution, k: int) -> int:
     """Directions of the k-th part's columns that the samples tell apart."""
     a = solution.a[solution.at(k)].flatten(1)
     gram = a @ a.T
@@ -176,7 +172,7 @@ def _notes(found: Explanation, k: int) -> tuple[str, ...]:
     assert part.term is not None
     effect, out = part.effects[0], []
     # Of a load only what the motion determines is known.
-    some_of_load = part.name == PAYLOAD and (told := _told(solution, k)) < len(values)
+    some_of_load = part.name == PAYLOAD and (told := _known_directions(solution, k)) < len(values)
     if some_of_load:
         out.append(
             f"the motion determines {count(told, 'combination')} of the ten parameters only; these "
@@ -197,20 +193,13 @@ def _notes(found: Explanation, k: int) -> tuple[str, ...]:
         for name in at_an_end(found.search.library, part.term)
     ]
     if part.seen is not None:
-        out.append(part.seen.said)
+        out.append(part.seen.sentence)
     if part.instead is not None:
         out.append("it stands in the place of the model's own, whose shape is another")
-    if isinstance(effect, JointSpring) and effect.curvature:
-        q = samples.of([s.motion.q[:, [effect.joint]].T for s in samples.segments])[0]
-        least, most = torch.aminmax(effect.stiffness(values.tolist(), q))
-        out.append(
-            f"k is the stiffness at q = 0; where the joint moved, from {float(q.min()):.3g} to "
-            f"{float(q.max()):.3g}, it is {float(least):.3g} to {float(most):.3g}"
-        )
+    q = samples.of([s.motion.q.T for s in samples.segments]).T
+    out += effect.remarks(values.tolist(), q)
     window = _window(samples, effect)
-    if isinstance(effect, Contact) and window is not UNSET:
-        place = "" if effect.along is None else f"{effect.along:.0%} of the way along "
-        of_tip = "" if effect.tip is None else f"at {place}'{effect.tip}', "
+    if window is not UNSET:
         said = f"from {window.from_s:.2f} to {window.to_s:.2f} s of '{window.trajectory}'"
-        out.append(of_tip + said)
+        out.append(effect.point + said)
     return tuple(out)

@@ -13,20 +13,18 @@ import torch
 from msgspec import structs
 
 from torchid.design.columns import Columns
-from torchid.effects.base import Effect, JointEffect
+from torchid.effects.base import Effect
 from torchid.effects.motion import Motion
-from torchid.effects.periodic import Wave
 from torchid.effects.registry import Valued
+from torchid.gap.cause_records import unit_of
 from torchid.gap.causes.candidates import Term
 from torchid.gap.describe.checked import Decision
 from torchid.gap.describe.claims import Claim, with_a_name
 from torchid.gap.describe.shares import Shares
 from torchid.gap.diagnosis import HowFar
 from torchid.gap.problem import Problem
-from torchid.gap.told import unit_of
 from torchid.results.cause import Cause
 from torchid.results.friction import (
-    LEAST,
     FrictionAt,
     FrictionCurve,
     FrictionDetail,
@@ -39,8 +37,6 @@ from torchid.statistics.criteria import LIKELY
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Float, Tensor
 
-POINTS = 24
-"""Of a curve, in each direction."""
 ENDS = (0.01, 0.99)
 """Of a direction's speeds, between which its curve is drawn."""
 AT = (0.1, 0.5, 0.9)
@@ -89,12 +85,12 @@ class _Friction:
 
     @property
     def problem(self) -> Problem:
-        """Its log."""
+        """The problem that the law is of."""
         return self.decision.found.problem
 
     @property
     def columns(self) -> Columns:
-        """At the corrected model."""
+        """Columns at the corrected model."""
         return self.decision.found.solution.columns
 
     def _is_own(self, effect: Effect) -> bool:
@@ -102,12 +98,12 @@ class _Friction:
 
     @cached_property
     def given(self) -> list[Valued]:
-        """Of the model as given."""
+        """Friction of this joint in the model as given."""
         return [p for p in self.decision.found.solution.start.effects if self._is_own(p[0])]
 
     @cached_property
     def corrected(self) -> list[Valued]:
-        """Of the corrected model."""
+        """Friction of this joint in the corrected model."""
         return [p for p in self.decision.found.solution.model.effects if self._is_own(p[0])]
 
     def law(self, own: Float[Tensor, " M"], taken: Shares, told: list[bool]) -> FrictionLaw:
@@ -189,7 +185,8 @@ class _Friction:
                 known.add(effect.detail)
         for detail, names in effects.items():
             likely = 1 - without.get(detail, 1.0)
-            says = detail in named or likely >= LEAST
+            # 0.05: probability of a detail from which on it is said
+            says = detail in named or likely >= 0.05
             if says or detail in known:
                 own, sure = tuple(dict.fromkeys(names)), likely if says else None
                 out.append(FrictionDetail(detail=detail, effects=own, how_sure=sure))
@@ -221,7 +218,8 @@ class _Friction:
         for way in (-1.0, 1.0):
             if self._moves(own, way):
                 slow, fast = own[own * way > 0].abs().quantile(own.new_tensor(ENDS)).tolist()
-                at.append(way * torch.linspace(slow, fast, POINTS, dtype=own.dtype))
+                # 24: of a curve, in each direction
+                at.append(way * torch.linspace(slow, fast, 24, dtype=own.dtype))
         speed = torch.cat(at).sort().values
         torque, std = self._torque(speed)
         every = (speed, torque, HALF_95 * std, self._sum(self.given, speed))
@@ -253,11 +251,7 @@ class _Friction:
     def _over_speed(self, effect: Effect, speed: Float[Tensor, " G"]) -> Float[Tensor, "C G"]:
         """Columns at speeds. Of what depends on more than the speed the straight line in speed
         through what they are along the log, in each direction."""
-        if (
-            isinstance(effect, JointEffect)
-            and not isinstance(effect, Wave)
-            and not (effect.memory or effect.needs)
-        ):
+        if effect.of_speed:
             return over_speed(effect, speed)
         along = self.columns.on_all_joints(effect)[:, self.joint]
         out = speed.new_zeros(len(along), len(speed))
@@ -273,12 +267,13 @@ class _Friction:
         return out
 
 
-def over_speed(effect: JointEffect, speed: Float[Tensor, " G"]) -> Float[Tensor, "C G"]:
+def over_speed(effect: Effect, speed: Float[Tensor, " G"]) -> Float[Tensor, "C G"]:
     """Columns at speeds of the effect's joint, of what depends on nothing else; all others rest."""
-    zero = speed.new_zeros(len(speed), effect.joint + 1)
+    (joint,) = effect.joints
+    zero = speed.new_zeros(len(speed), joint + 1)
     dq = zero.clone()
-    dq[:, effect.joint] = speed
-    return effect.columns(Motion(zero, dq, zero)).T
+    dq[:, joint] = speed
+    return effect.own_columns(Motion(zero, dq, zero))[0].T
 
 
 def _least(choices: Sequence[Sequence[Effect]]) -> list[list[str]]:

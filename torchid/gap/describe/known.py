@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import torch
 
+from torchid.gap.cause_records import unit_of
 from torchid.gap.causes.candidates import Term
 from torchid.gap.describe.model import Explanation
 from torchid.gap.record import Known, KnownCoefficient, Open
-from torchid.gap.told import unit_of
-from torchid.gap.wanted import BASE, LINK
+from torchid.gap.wanted import BASE
 from torchid.identification.knowledge import known_names, learned
+from torchid.results.cause import LINK
 from torchid.robot.knowledge import BETWEEN, Knowledge
 from torchid.typing import Float, Tensor
 
@@ -112,10 +113,10 @@ def closing_motion(joint: int) -> str:
     """What to drive so that a joint's torque is known."""
     return (
         f"drive joint {joint + 1} and those behind it through their whole range, slowly and fast: "
-        "`torchid excite --for` designs the motion"
+        "`torchid excite --for gap.json --max-acceleration 5 --out next` designs the motion"
     )
 
 
 def finite(value: float) -> float | None:
-    """None of what is infinite: unknown."""
+    """A number, or None where it is infinite: unknown."""
     return value if math.isfinite(value) else None

@@ -25,8 +25,10 @@ from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import Search
 from torchid.gap.data import Data
 from torchid.gap.problem import Problem
-from torchid.gap.wanted import BASE, LINK, Wanted
+from torchid.gap.wanted import BASE, Wanted
 from torchid.identification.knowledge import known_names
+from torchid.results.cause import LINK
+from torchid.results.words import PAYLOAD
 from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
@@ -35,20 +37,10 @@ from torchid.statistics.jackknife import DETERMINED, fit_statistics
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
 
-PAYLOAD = "payload"
 A_BASE_PARAMETER = Coefficient("", "", False, "a base parameter")
 
-FORETOLD = 0.3
-"""Share of a part's squares that the other folds must hold for its coefficients to be taken from
-them [1]; of something that is there all the time four folds of five hold 0.8."""
-
-OPEN = 1e-6
-"""Squared part of a coefficient in what the columns leave open, from which it is open, too."""
 
 STEPS = 4
-SETTLED_SHARE = 1e-4
-"""Gauss-Newton steps at most, and the share of the loss that one must gain to be followed by
-another."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,9 +299,9 @@ class Solution:
         x = torch.cat(self.values)
         # Which parts these samples hold enough of.
         squares = self.a.square().sum(1).split([len(v) for v in self.values])
-        held = [
-            float((s * fitted).sum(-1).max()) >= FORETOLD * float(s.sum(-1).max()) for s in squares
-        ]
+        # 0.3: share of a part's squares that the other folds must hold for its coefficients to be
+        # taken from them; of something that is there all the time four folds of five hold 0.8
+        held = [float((s * fitted).sum(-1).max()) >= 0.3 * float(s.sum(-1).max()) for s in squares]
         free = torch.cat([torch.full((len(v),), h) for v, h in zip(self.values, held, strict=True)])
         # One Gauss-Newton step of those from the solution, from what is known beforehand.
         weight = self.weight.sqrt().unsqueeze(1) * fitted
@@ -395,7 +387,9 @@ def solve_parts(
         a = torch.cat(each) * data.keep if each else left.new_zeros(0, *left.shape)
         unknown = a.new_zeros(len(a), len(a))
         best = Solution(start, tuple(taken), tuple(values), (), unknown, at, of_joint, a, left)
-        if (step > 1 and last - loss < SETTLED_SHARE * last) or step == steps or not len(a):
+        # 1e-4: Gauss-Newton steps at most, and the share of the loss that one must gain to be
+        # followed by another
+        if (step > 1 and last - loss < 1e-4 * last) or step == steps or not len(a):
             break
         last = loss if step > 0 else torch.inf
         # Gauss-Newton: what the columns see in what is left, and what is known beforehand.
@@ -459,7 +453,8 @@ def undetermined(matrix: Float[Tensor, "K K"]) -> Bool[Tensor, " K"]:
     size = matrix.diagonal().sqrt()
     size = torch.where(size > 0, size, torch.inf)
     values, axes = torch.linalg.eigh(matrix / size / size.unsqueeze(1))
-    return axes[:, values < DETERMINED * values[-1]].square().sum(1) > OPEN
+    # 1e-6: squared part of a coefficient in what the columns leave open, from which it is open, too
+    return axes[:, values < DETERMINED * values[-1]].square().sum(1) > 1e-6
 
 
 def within_physics(
@@ -565,7 +560,7 @@ class Explanation:
 
     @cached_property
     def empty(self) -> Fit:
-        """Without a cause."""
+        """The explanation without a cause."""
         return self.search.empty()
 
     @property
@@ -598,8 +593,9 @@ class Explanation:
         return self.worth(torch.from_numpy(self.empty.losses / library.rows))
 
     def worth(self, error: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """The same where the error without it has such mean squares: the larger of a share of the
-        error and a share of the torque; and more than the model was seen to leave on its own log.
+        """This question where the error without it has such mean squares: the larger of a share of
+        the error and a share of the torque; and more than the model was seen to leave on its own
+        log.
 
         Args:
             error: (n,) mean squares.

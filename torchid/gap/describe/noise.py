@@ -31,15 +31,6 @@ BLOCK_SECONDS = 2.0
 """Length of the blocks of which mean and median are compared, and which are resampled [s]: several
 times the correlation of a gap at 8 Hz; a collision lasts less, and a minute holds thirty."""
 
-MISMEASURED = 1.1
-"""Noise over what a model leaves, from which it is said that the measure is wrong [1]: both are
-known to some per cent."""
-
-_HANN = 2.0  # tapered, neighbouring frequencies are not independent
-
-FEWEST = 100
-"""Samples of repeats below which they say less than the bracket."""
-
 
 @dataclass(frozen=True, eq=False)
 class Noise:
@@ -62,7 +53,7 @@ class Noise:
     uneven: Bool[Tensor, " n"]
 
     def at_most(self, left: Float[Tensor, " n"]) -> "Noise":
-        """The same, no larger than what a model leaves of the torque at the instants that count:
+        """This noise, no larger than what a model leaves of the torque at the instants that count:
         noise is part of that. Where it was measured larger, a note says so.
 
         Args:
@@ -70,7 +61,9 @@ class Noise:
         """
         floor = self.floor
         low, high = torch.minimum(floor.low, left), torch.minimum(floor.high, left)
-        over = (floor.low > MISMEASURED * left).nonzero().flatten().tolist()
+        # 1.1: noise over what a model leaves, from which it is said that the measure is wrong: both
+        # are known to some per cent
+        over = (floor.low > 1.1 * left).nonzero().flatten().tolist()
         notes = tuple(
             f"joint {j + 1}: the noise seemed to be {float(floor.low[j]):.3g}, more than the model "
             f"leaves there, {float(left[j]):.3g}, so it is taken to be that: what was measured as "
@@ -189,7 +182,8 @@ def floor_of(apart: Sequence[Segment], band: float) -> NoiseFloor | None:
         return None
     report = Samples(list(apart), band)
     differences = [s for s in apart if s.length > 2 * report.edge + report.step]
-    if not differences or len(Samples(differences, band)) < FEWEST:
+    # 100: samples of repeats below which they say less than the bracket
+    if not differences or len(Samples(differences, band)) < 100:
         return None
     own = Samples(differences, band)
     x = own.of([s.tau.T for s in differences])
@@ -219,7 +213,8 @@ def white_level(
     for signals in (residual, [p.tau for p in segments]):
         densities = [_densities(x, p, cutoff) for x, p in zip(signals, segments, strict=True)]
         every = torch.cat(densities, -1)
-        error = _HANN**0.5 / math.log(2) / math.sqrt(max(1, every.shape[-1]))
+        # 2.0: tapered, neighbouring frequencies are not independent
+        error = 2.0**0.5 / math.log(2) / math.sqrt(max(1, every.shape[-1]))
         # The median of chi^2 with two degrees of freedom is ln 2 of its mean.
         levels.append(every.median(-1).values / math.log(2) * max(0.0, 1 - 2 * error))
     return torch.minimum(*levels)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
+from torchid.gap.cause_records import body_cause, effect_cause
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.explain import Explained
@@ -14,15 +15,9 @@ from torchid.gap.causes.judge import judged
 from torchid.gap.describe.claims import Claim, at_an_end
 from torchid.gap.describe.model import STEPS, Explanation, solve
 from torchid.gap.describe.replication import replication
-from torchid.gap.told import told, told_bodies
 from torchid.results.cause import Cause, Role
 from torchid.results.replication import of_few_runs
 from torchid.statistics.criteria import LIKELY
-
-FEWEST_RUNS = 3
-"""Of which one can be the odd one."""
-POSSIBLE = 0.005
-"""Probability below which a cause, at 0 %, is no suspect."""
 
 PLACES_ASKED, ASKED_OF_EACH, LIKELIEST = 6, 2, 60
 """Places, and the likeliest candidates of each, that are asked run by run; of so many."""
@@ -64,7 +59,8 @@ def causes_of_few_runs(found: Explanation, explained: Explained) -> tuple[Cause,
         found, explained: as for `small_effects`.
     """
     search, problem, library = found.search, found.problem, found.search.library
-    if len({s.name for s in library.samples.segments}) < FEWEST_RUNS:
+    # 3: of which one can be the odd one
+    if len({s.name for s in library.samples.segments}) < 3:
         return ()
     places: dict[object, list[Term]] = {}
     for _, term in search.screen.ranked(found.fit, library.rows)[:LIKELIEST]:
@@ -111,10 +107,11 @@ def without_name(
         claims: its causes.
         shares: of the error that each takes; NaN where the corrected model does not hold it.
     """
+    # 0.005: probability below which a cause, at 0 %, is no suspect
     every = (
         structs.replace(_entry(found, one.term, one.alone_sure), share=share)
         for one, share in zip(claims, shares, strict=True)
-        if one.unnamed and one.alone_sure >= POSSIBLE
+        if one.unnamed and one.alone_sure >= 0.005
     )
     return tuple(sorted(every, key=lambda e: -(e.how_sure or 0.0)))
 
@@ -131,9 +128,9 @@ def _entry(found: Explanation, term: Term, sure: float, role: Role = "suspect") 
         "replication": replication(solution, k, samples),
     }  # fmt: skip
     if term.parametric:
-        return told_bodies(term.joints, **more)
+        return body_cause(term.joints, **more)
     effect, std = part.effects[0], solution.std[k].tolist() if solution.std else [0.0] * len(values)
-    return told(
+    return effect_cause(
         (effect, values), std, solution.start, solution.model, solution.main(k),
         joints=part.joints or (int(closes.argmax()),), located=part.joints,
         common=len(part.effects) > 1, remedy=effect.experiment, **more,

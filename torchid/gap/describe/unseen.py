@@ -7,23 +7,14 @@ import numpy as np
 
 from torchid.design.gram import VISIBLE
 from torchid.design.segments import when
-from torchid.effects.base import Effect, JointEffect, ModelEffect
+from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
-from torchid.gap.causes.candidates import LATER, Term, are_bodies
+from torchid.gap.cause_records import unit_of
+from torchid.gap.causes.candidates import Term, are_bodies
 from torchid.gap.describe.model import Explanation
 from torchid.gap.record import Experiment, Informative
-from torchid.gap.told import unit_of
 from torchid.results.answer import NotTestable
 from torchid.robot.model import Robot
-
-LARGE_SHARE = 0.5
-"""Torque, as a share of the joint's own, below which a testable effect must be detectable."""
-
-HOPELESS_SECONDS = 3600.0
-"""Seconds of the same motion beyond which only another motion can help."""
-
-SET_ODDS = 20.0
-"""Odds from which two explanations are told apart [1]."""
 
 
 def next_experiment(
@@ -50,10 +41,12 @@ def next_experiment(
     t = samples.t
     name, start = when(samples.segments, float(t[instants[0]]))
     # As much more of the same motion as makes the odds, if it is as clear as here.
-    seconds = len(block) * samples.interval * 2 * math.log(SET_ODDS) / total
+    # 20.0: odds from which two explanations are told apart
+    seconds = len(block) * samples.interval * 2 * math.log(20.0) / total
     joints = term.joints or other.joints
     # What to do, from the effects' own descriptions.
     both = "; and ".join(dict.fromkeys(KINDS[t.name].experiment for t in (term, other)))
+    # 3600.0: seconds of the same motion beyond which only another motion can help
     return Experiment(
         separates=(term.name, other.name),
         joint=joints[0] if joints else None,
@@ -64,7 +57,7 @@ def next_experiment(
             to_s=start + float(t[instants[-1]] - t[instants[0]]),
             share=float(differs[best]) / total,
         ),
-        seconds_of_the_same_motion=seconds if seconds < HOPELESS_SECONDS else None,
+        seconds_of_the_same_motion=seconds if seconds < 3600.0 else None,
     )
 
 
@@ -93,7 +86,7 @@ def not_testable(found: Explanation) -> list[NotTestable]:
     # Effects that were no candidates: no bodies, no motion, or no torque that says anything.
     bodies = are_bodies(found.problem.given.model.robot)
     for kind in (KINDS[name] for name in wanted.names if not KINDS[name].needs & data.missing):
-        if kind.of_bodies and not bodies and issubclass(kind, ModelEffect) and kind.starts(robot):
+        if kind.of_bodies and not bodies and kind.starts(robot):
             tell(kind, (), None, "the model's links are no bodies (`torchid extract` finds some)")
         for joints in _places(kind, robot):
             asked = wanted.asks(kind.name, joints) and (kind.name, joints) not in known
@@ -106,10 +99,7 @@ def not_testable(found: Explanation) -> list[NotTestable]:
 
 def _places(kind: type[Effect], robot: Robot) -> list[tuple[int, ...]]:
     """Joints that an effect may be at; none of the whole arm's, nor of what is looked for later."""
-    if issubclass(kind, JointEffect):
-        return [(j,) for j in robot.driven]
-    later = kind.windowed or kind.of_bodies or kind.inertial or kind.name in LATER
-    if later or not issubclass(kind, ModelEffect):
+    if kind.windowed or kind.of_bodies or kind.inertial or kind.costly:
         return []
     own = [e for e in kind.starts(robot) if len(e.joints) == 1]
     return list(dict.fromkeys(e.joints for e in own if e.identity == (kind.name, e.joints)))
@@ -128,14 +118,12 @@ def _visible(found: Explanation) -> Iterable[tuple[float, float, Term]]:
     white = evidence.white(every, weight)
     best: dict[object, tuple[float, float, Term]] = {}
     accepted = {t.key for t in fit.terms}
+    crosses = screen.cross(every, weight) if every else []
     for k, stack in enumerate(screen.stacks):
-        own = weight if stack.place is None else weight[[stack.place]]
-        sizes = np.tensordot(own, stack.own[:, :, 0, 0], 1)
+        sizes = stack.squares(weight)[:, 0, 0]
         held = np.zeros_like(sizes)
         if every:
-            cross = [np.tensordot(own, screen.products(t)[k], 1) for t in every]
-            first = np.concatenate(cross)[:, :: stack.low.shape[1]]
-            held = ((white @ first) ** 2).sum(0)
+            held = ((white @ crosses[k][:, :: stack.low.shape[1]]) ** 2).sum(0)
         for term, size, left in zip(stack.terms, sizes, sizes - held, strict=True):
             skipped = term.parametric or term.change is not None or term.key in accepted
             if not skipped and left > best.get(term.key, (0.0, -math.inf, term))[1]:
@@ -162,6 +150,8 @@ def _hidden(found: Explanation, size: float, left: float, term: Term) -> tuple[s
     if term.place is not None:
         j = term.place
         squares = size * fit.losses[j] / fit.samples[j] / library.rows[j]
-        if smallest * math.sqrt(squares) > LARGE_SHARE * library.torque[j]:
+        # 0.5: torque, as a share of the joint's own, below which a testable effect must be
+        # detectable
+        if smallest * math.sqrt(squares) > 0.5 * library.torque[j]:
             return "noise hides it up to half of the joint's torque", smallest
     return "", smallest

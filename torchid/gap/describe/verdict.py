@@ -16,14 +16,8 @@ from torchid.robot.model import joint_list, joint_unit
 from torchid.statistics.criteria import CLEAR_EXCESS, EXCESS
 from torchid.typing import Float, Tensor
 
-STRUCTURE = 0.25
-"""Predictable share of a joint's noise variance from which structure is worth saying [1]."""
-
 CHECK_FIRST = "Next time: check the log first"
 """How the warning begins that a model explains nothing of most torques."""
-
-SAME_SPEED = 1.1
-"""Ratio of two speeds along one path below which they are the same [1]."""
 
 
 def status_of(
@@ -63,7 +57,8 @@ def status_of(
     clear = (excess > CLEAR_EXCESS) & ~noise.uneven
     if not measured:
         odd = clear = torch.zeros_like(odd)  # nothing but repeats bounds the noise above
-    structured = (noise.structure > STRUCTURE) & (beyond > least)
+    # 0.25: predictable share of a joint's noise variance from which structure is worth saying
+    structured = (noise.structure > 0.25) & (beyond > least)
     # Without a bound of the noise, what leaves most of the gap is no explanation of it.
     little = not measured and far.closed is not None and far.closed < 1 - UNLIKE
     # What has no name explains nothing.
@@ -146,7 +141,8 @@ def _what_bounds_noise(problem: Problem) -> str:
         return f"repeat {names} for longer. That is too short to give the noise an upper bound."
     for path in same_paths(segments)[:1]:
         first, again = segments[path.a].name, segments[path.b].name
-        if max(path.speed, 1 / path.speed) < SAME_SPEED:
+        # 1.1: ratio of two speeds along one path below which they are the same
+        if max(path.speed, 1 / path.speed) < 1.1:
             return (
                 f"drive {first} again at the same times. {again} has its path and speed but other "
                 "rests, so the noise has no upper bound."

@@ -22,27 +22,11 @@ from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.resampling import DRAWS, bootstrap_weights, tails
 from torchid.typing import Bool, Float, Int, Tensor
 
-LEAST_ABOVE = 0.1
-"""Share of a joint's squared gap that counts as above the floor at least, so that a joint at its
-floor does not show arbitrarily large excesses."""
-
-SAMPLES = 3.0
-"""Instants kept a period of the band's edge."""
-
 MOST_BLOCKS = 80
 """Of more, a block is so short that a single transient may look like a regime."""
 
 REST, SLOW, FAST = 0.01, 0.15, 0.7
 """As good as zero, low and high, as fractions of the 99 % speed [1]."""
-
-BRIEF = 0.25
-"""Seconds after a reversal that count as one, at most."""
-
-RARE = 0.02
-"""Share of time below which a regime is too rare to be compared with the rest, or the rest."""
-
-ORDERS = 499
-"""Orders of the blocks that are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +44,7 @@ class Instants:
 
     @classmethod
     def of(cls, traces: Sequence[Trace], band: float) -> "Instants":
-        """Of traces."""
+        """Errors of traces at the instants that are kept, and the regimes that these are in."""
         inside = regime_instants(traces, band)
         kept = [_kept(t, band) for t in traces]
         pairs = list(zip(traces, kept, strict=True))
@@ -121,12 +105,16 @@ def regime_gaps(instants: Instants, floor: NoiseFloor, seed: int) -> tuple[Regim
     squared = instants.error[kept].square().unflatten(0, (count, -1))
     inside = instants.inside[:, kept].double().unflatten(1, (count, -1))
     share = inside.mean((1, 2))  # (R, n)
-    possible = (share > RARE) & (share < 1 - RARE)
+    # Share of time below which a regime is too rare to be compared with the rest, or the rest
+    rare = 0.02
+    possible = (share > rare) & (share < 1 - rare)
     inside = inside - share[:, None, None]
     # Each block of a regime with each block of the gap; an order picks one of each.
     products = torch.einsum("rkln,mln->rkmn", inside, squared - squared.mean((0, 1)))
     g = torch.Generator().manual_seed(seed)
-    order = torch.rand(ORDERS, count, generator=g).argsort(-1)
+    # Orders of the blocks that are drawn
+    orders = 499
+    order = torch.rand(orders, count, generator=g).argsort(-1)
     places = torch.arange(count)
     null = torch.stack([products[:, places, own].sum(1) for own in order])  # (D, R, n)
     mean, std = null.mean(0), null.std(0)
@@ -134,14 +122,16 @@ def regime_gaps(instants: Instants, floor: NoiseFloor, seed: int) -> tuple[Regim
     unit = torch.where(there, std, 1.0)
     observed = torch.where(there, (products[:, places, places].sum(1) - mean) / unit, -torch.inf)
     largest = torch.where(there, (null - mean) / unit, -torch.inf).amax((1, 2))
-    p = (1 + (largest[:, None, None] >= observed).sum(0)) / (1 + ORDERS)
+    p = (1 + (largest[:, None, None] >= observed).sum(0)) / (1 + orders)
     p = torch.where(there, p.double(), 1.0)
     # Of the squares above the noise the share that is in the regime beyond its share of the time.
     held, whole = (inside * squared).sum(2), squared.sum(1)
     noise = squared.shape[1] * floor.low.square().to(whole)
 
     def excess(weights: Float[Tensor, "D K"]) -> Float[Tensor, "D R n"]:
-        above = (weights @ (whole - noise)).maximum(LEAST_ABOVE * (weights @ whole))
+        # 0.1: share of a joint's squared gap that counts as above the floor at least, so that a
+        # joint at its floor does not show arbitrarily large excesses
+        above = (weights @ (whole - noise)).maximum(0.1 * (weights @ whole))
         found = torch.einsum("dk,rkn->drn", weights, held) / above.clamp(min=1e-300).unsqueeze(1)
         return torch.where(possible, found, 0.0).clamp(-1.0, 1.0)
 
@@ -175,7 +165,8 @@ def regime_instants(traces: Sequence[Trace], band: float) -> list[dict[str, Bool
     ]
     # Just after a reversal: a quarter of the time at most.
     some = torch.cat([x[k] for x, k in zip(since, pick, strict=True)])
-    recent = some.quantile(0.25, 0, interpolation="lower").clamp(max=BRIEF)
+    # 0.25: seconds after a reversal that count as one, at most
+    recent = some.quantile(0.25, 0, interpolation="lower").clamp(max=0.25)
     out = []
     for trace, motion, own in zip(traces, motions, since, strict=True):
         dq, valid = motion.dq.abs(), trace.valid.cpu().unsqueeze(1)
@@ -193,7 +184,8 @@ def regime_instants(traces: Sequence[Trace], band: float) -> list[dict[str, Bool
 def _kept(trace: Trace, band: float) -> Bool[Tensor, " T"]:
     """Instants that are looked at."""
     kept = torch.zeros_like(trace.valid)
-    kept[:: max(1, int(trace.rate / (SAMPLES * band)))] = True
+    # 3.0: instants kept a period of the band's edge
+    kept[:: max(1, int(trace.rate / (3.0 * band)))] = True
     return (kept & trace.valid).cpu()
 
 

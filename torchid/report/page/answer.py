@@ -1,26 +1,26 @@
 """The answer of a diagnosis as a page shows it: causes at their joints, what to do first."""
 
+import math
 from collections.abc import Sequence
 
 from msgspec import UNSET
 
-from torchid.results.answer import Answer
+from torchid.results.answer import UNCHANGED, Answer, JointRow
 from torchid.results.cause import LINK, Cause, common_name, cut_line, remedy_of
 from torchid.results.words import effect_words, listed, percent, sure
 
-CLEAR = 0.99
-"""Probability of a cause above which nothing is said of it."""
+NAMED = 2
+"""Causes of a joint that are named where there is no room for more."""
 MOST_ADVICE = 3
 """Things to do first."""
-LEAST_STEP = 0.02
-"""Share of the error below which a cause is nothing to do next, however sure it is [1]."""
 
 
 def cause_line(cause: Cause) -> tuple[str, str, str, str]:
     """One cause: its name, what makes most of its torque, how sure it is, and what else it is."""
     others = listed((effect_words(x) for x in cause.ambiguous_with), "or", most=2)
     # A word that stands at every cause says nothing.
-    how_sure = "" if cause.how_sure is None or cause.how_sure > CLEAR else sure(cause.how_sure)
+    # 0.99: probability of a cause above which nothing is said of it
+    how_sure = "" if cause.how_sure is None or cause.how_sure > 0.99 else sure(cause.how_sure)
     name = cause.name
     size = cause.in_words(cause.known[0]) if cause.known else ""
     size = size if cause.law is UNSET else cause.values()
@@ -29,10 +29,31 @@ def cause_line(cause: Cause) -> tuple[str, str, str, str]:
     return name[:1].upper() + name[1:], size, how_sure, rivals
 
 
+def no_own_cause(row: JointRow, answer: Answer) -> str:
+    """What a joint's error is without a cause of its own: what joints share, noise, or unknown."""
+    joint, error = row.error.joint, row.error
+    names = dict.fromkeys(same[0].name for same in answer.shared() if _acts(same, joint))
+    if names and error.after < UNCHANGED * error.before:
+        return f"{listed(names, most=NAMED)} (below)"
+    if answer.status == "searching":
+        return "not explained so far"
+    if error.after <= max(error.noise):
+        return "noise"
+    return "no cause found" + ("; may be noise" if math.isnan(error.noise[1]) else "")
+
+
+def _acts(same: Sequence[Cause], joint: int) -> bool:
+    """Whether causes of one name lower the error of a joint."""
+    if same[0].removes:
+        return sum(c.removes[joint] for c in same) > 0
+    return any(joint in c.at or not c.at for c in same)
+
+
 def first_steps(answer: Answer) -> list[str]:
     """What to do first: remedies of the causes that remove most, where data that were not fitted
-    confirm them; else the doubt, what would settle suspects, or the motion that would decide;
-    nothing while the search goes on."""
+    confirm them, behind what would settle a suspect that removes more than all of them; else the
+    doubt, what would settle suspects, or the motion that would decide; nothing while the search
+    goes on."""
     if answer.status == "searching":
         return []
     if not answer.confirmed:
@@ -40,8 +61,8 @@ def first_steps(answer: Answer) -> list[str]:
     same: dict[str, list[Cause]] = {}
     for cause in answer.entries:
         same.setdefault(cause.remedy, []).append(cause)
-    steps: list[str] = []
-    add = not answer.of_positions
+    main, add = answer.main_suspect, not answer.of_positions
+    steps = [] if main is None else [_to_settle(main)]
 
     def worth(causes: Sequence[Cause]) -> float:
         if add:
@@ -50,7 +71,8 @@ def first_steps(answer: Answer) -> list[str]:
         return max(map(answer.takes, causes)) / answer.before.value
 
     for causes in sorted(same.values(), key=lambda causes: -worth(causes)):
-        if not worth(causes) > (LEAST_STEP if steps else 0.0):
+        # 0.02: share of the error below which a cause is nothing to do next, however sure it is
+        if not worth(causes) > (0.02 if steps else 0.0):
             continue
         what = listed(dict.fromkeys(common_name(c, causes) for c in causes))
         if causes[0].effect != LINK:  # whose name has its place
@@ -66,7 +88,10 @@ def first_steps(answer: Answer) -> list[str]:
 def _to_decide(answer: Answer) -> list[str]:
     """What to do while nothing is confirmed."""
     if answer.doubt:
-        return ["settle what speaks against the log: `torchid log doctor` shows what mends it."]
+        return [
+            "settle what speaks against the log: `torchid log doctor` has the evidence, and the "
+            "fix where there is one."
+        ]
     if answer.fails:
         return [
             f"fit motions like those {answer.after.words}, too: there the answer does not hold."
@@ -75,11 +100,16 @@ def _to_decide(answer: Answer) -> list[str]:
         # What happened once no other motion confirms.
         events = [c for c in answer.causes if c.window is not UNSET]
         names = listed(dict.fromkeys(c.name for c in events))
+        robot = "ROBOT " * answer.of_positions  # whose JSON holds none
         return [f"cut out what happened once ({names}), {cut_line(events)}."] * bool(events) + [
             "record other motions and hold one out (--held-out): these logs confirm no cause. "
-            "`torchid excite --for gap.json` plans motions that tell."
+            f"`torchid excite {robot}--for gap.json --max-acceleration 5 --out next` plans one."
         ]
-    return [
-        f"to settle {c.name} {c.place}".rstrip() + f": {remedy_of([c]).rstrip('.')}."
-        for c in answer.suspects[:MOST_ADVICE]
-    ]
+    return [_to_settle(c) for c in answer.suspects[:MOST_ADVICE]]
+
+
+def _to_settle(suspect: Cause) -> str:
+    """What would tell whether it is one."""
+    remedy = remedy_of([suspect]).rstrip(".")
+    name = f"{suspect.name} {suspect.place}".rstrip()
+    return f"to settle {name}: {remedy[:1].lower()}{remedy[1:]}."

@@ -35,7 +35,7 @@ import torchid
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.files import file_hash, write_text
 from torchid.report.colours import AFTER, BEFORE, BLUE, GREEN, GREY, GRID, INK, ORANGE, RED
-from torchid.report.page.answer import cause_line
+from torchid.report.page.answer import cause_line, no_own_cause
 from torchid.report.panels import Picture, plain_texts, printable
 from torchid.report.table import Code, InputFile, Origin, Page, Table
 from torchid.results.words import digits, span, value_words
@@ -46,8 +46,6 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 3_000_000
 """Of a page beside plotly's script, and more than any of them needs."""
-_WORDS_AND_TABLES = 400_000
-"""Bytes of it that figures leave free."""
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pytorch-kinematics", "clarabel", "matplotlib")
 
 
@@ -79,7 +77,8 @@ def render(page: Page) -> str:
     """
     templates = environment()
     library = _plotly() if any(p.numbers for p in page.pictures) else None
-    room, drawn, plots = MOST_BYTES - _WORDS_AND_TABLES, {}, {}
+    # 400_000: bytes of it that figures leave free
+    room, drawn, plots = MOST_BYTES - 400_000, {}, {}
     for picture in page.pictures:
         svg = inline_svg(picture)
         if picture.narrow is not None:
@@ -142,7 +141,7 @@ def write_page(page: Page, path: str | Path) -> Path:
 
 
 def environment() -> "Environment":
-    """Of the pages' templates.
+    """The environment of the pages' templates.
 
     Raises:
         MissingExtraError: Jinja2 is not installed.
@@ -163,6 +162,7 @@ def environment() -> "Environment":
     )
     made.filters["thousands"] = lambda k: f"{k:,}".replace(",", "\u202f")
     made.filters |= {"kind": _kind, "cause_line": cause_line, "digits": digits, "span": span}
+    made.filters["no_own_cause"] = no_own_cause
     made.tests["holds"] = contains
     made.filters["marked"] = lambda text: _marked(escape(printable(text)))
     return made
@@ -241,16 +241,12 @@ THEME = {
 
 _SVG = "{http://www.w3.org/2000/svg}"
 _HREF = "{http://www.w3.org/1999/xlink}href"
-_DPI = 144
-"""Of parts that are drawn as pixels: scatters of many points."""
 _COMMAND = re.compile(r"`([^`]+)`")
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _FONT = re.compile(r"font: (?:(?:normal|italic|oblique) )?(\d+ )?([\d.]+px) [^;]*")
 _FAMILY = re.compile(r"font-family: [^;]*;? ?")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
-_SIMPLIFY = 0.4
-"""Pixels by which a curve may differ from its data."""
 
 
 def inline_svg(picture: Picture) -> str:
@@ -260,16 +256,18 @@ def inline_svg(picture: Picture) -> str:
     """
     import matplotlib
 
+    # 0.4: pixels by which a curve may differ from its data
     settings: Any = {
         "svg.fonttype": "none",
         "svg.hashsalt": picture.name,
-        "path.simplify_threshold": _SIMPLIFY,
+        "path.simplify_threshold": 0.4,
     }
     with matplotlib.rc_context(settings):
         figure = picture.draw()
         plain_texts(figure)
         stream = io.BytesIO()
-        figure.savefig(stream, format="svg", transparent=True, dpi=_DPI, metadata={"Date": None})
+        # 144: of parts that are drawn as pixels: scatters of many points
+        figure.savefig(stream, format="svg", transparent=True, dpi=144, metadata={"Date": None})
     width = 96 * figure.get_figwidth()
     figure.clear()
     root = etree.fromstring(stream.getvalue(), etree.XMLParser(huge_tree=True))

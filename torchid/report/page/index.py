@@ -1,6 +1,7 @@
 """An index of all results below a folder: links to them, and what each one answers."""
 
 import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -55,9 +56,9 @@ def entries(folder: Path) -> list[Entry]:
     return listed
 
 
-def report_of_folder(folder: Path) -> Report:
+def report_of_folder(folder: Path, found: Sequence[Entry]) -> Report:
     """The results below a folder, on the terminal."""
-    rows = [(str(e.file.relative_to(folder)), e.headline) for e in entries(folder)]
+    rows = [(str(e.file.relative_to(folder)), e.headline) for e in found]
     table = Table(f"results below {folder}", ("result", "answer"), rows, "pp")
     return Report(verdict=f"{count(len(rows), 'result')} below {folder}.", parts=[table])
 

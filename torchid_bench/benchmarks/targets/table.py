@@ -88,7 +88,9 @@ def rows(what: Dynamics, motion: Played, measured: np.ndarray) -> Iterator[str]:
             if python_of(target) is None:
                 continue
             for to in ("mjcf", *beside):
-                export_dynamics(what, to, folder, "arm", nominal=what.robot, geometry="none")  # type: ignore[arg-type]
+                export_dynamics(
+                    what, to, folder, "arm", nominal=what.robot, geometry="none", plain=True
+                )  # type: ignore[arg-type]
             promised, expected = played("mujoco")
             found, moved = played(target)
             apart = size * np.abs(moved - expected).max()
@@ -97,8 +99,9 @@ def rows(what: Dynamics, motion: Played, measured: np.ndarray) -> Iterator[str]:
 
 
 def write(page: Path, table: list[str]) -> None:
-    """Put the table in the place of the page's own, which begins with the same titles."""
-    before, _, after = page.read_text().partition(table[0])
+    """Put the table in the place of the page's own, which begins with the same first title."""
+    title = " | ".join(table[0].split(" | ")[:2])
+    before, _, after = page.read_text().partition(title)
     rest = after.partition("\n\n")[2]
     page.write_text(before + "\n".join(table) + "\n\n" + rest)
 

@@ -17,13 +17,6 @@ from torchid_study.result import ScenarioResult, SetsOnMotion, Study
 from torchid_study.wrenches.classes import class_of
 from torchid_study.wrenches.compare import LEAST_CLUSTERS, EffectSize
 
-ROUNDING = 1e-9
-"""Share of a signal's root mean square below which a difference is called rounding."""
-_SAME = 1e-4
-"""Share of a set's parameters by which two runs that ended in the same set may differ."""
-_EQUAL = 1e-3
-"""Share by which errors of runs that are the same may differ."""
-
 
 def number(value: float, digits: int = 3) -> str:
     """A number for people: 0.0123, 1.2e-05, 0; a dash if there is none, `none` if infinite."""
@@ -69,14 +62,16 @@ def run_classes(study: Study) -> list[str]:
 def endings(result: ScenarioResult) -> Int[Tensor, " R"]:
     """(R,) which runs ended in the same set: the number of the first of them."""
     x = result.extraction.sets.vector
-    near = torch.cdist(x, x) <= _SAME * x.norm(dim=-1, keepdim=True)
+    # 1e-4: share of a set's parameters by which two runs that ended in the same set may differ
+    near = torch.cdist(x, x) <= 1e-4 * x.norm(dim=-1, keepdim=True)
     return near.int().argmax(-1)
 
 
 def count_different(values: Float[Tensor, " R"]) -> int:
     """How many of some positive values are really different."""
     ordered = values.sort().values
-    return min(1, len(values)) + int((ordered[1:] > (1 + _EQUAL) * ordered[:-1]).sum())
+    # 1e-3: share by which errors of runs that are the same may differ
+    return min(1, len(values)) + int((ordered[1:] > (1 + 1e-3) * ordered[:-1]).sum())
 
 
 def phi_min(study: Study, result: ScenarioResult) -> float:
@@ -126,7 +121,9 @@ def verdict(study: Study) -> list[str]:
     """One sentence or two for each part of the study."""
     identified, _, true = validation_torques(study)
     share = float((rms(identified - true) / rms(true)).max())
-    quality = "exact to rounding" if share < ROUNDING else "not exact"
+    # Share of a signal's root mean square below which a difference is called rounding
+    rounding = 1e-9
+    quality = "exact to rounding" if share < rounding else "not exact"
     said = [
         f"Identification: {len(study.truth)} coefficients, largest error "
         f"{number(coefficient_error(study), 2)}; on a new motion the torque is wrong by at most "
@@ -149,7 +146,7 @@ def verdict(study: Study) -> list[str]:
         )
     off, real = torque_errors(study.sets_motion)
     worst = dict(zip(study.sets_motion.labels[1:], (off / real).amax(1).tolist(), strict=True))
-    exact = [name for name, size in worst.items() if size < ROUNDING]
+    exact = [name for name, size in worst.items() if size < rounding]
     others = [f"{n} {number(100 * size)} %" for n, size in worst.items() if n not in exact]
     largest = f"; largest error relative to a joint's torque: {listed(others)}" if others else ""
     said.append(

@@ -35,10 +35,6 @@ from torchid_study.study import new_motion
 _Line = tuple[str, str, str]
 """What the legend says, id of the set or `real`, colour."""
 _REAL: _Line = ("real", "real", REAL)
-_FAR = 8.0
-"""Times the real arm's largest value from which a logarithmic axis is easier to read."""
-_DECADES = 1e-3
-"""Share of the real arm's largest value down to which a logarithmic axis goes."""
 
 
 def drawings(study: Study) -> list[Picture]:
@@ -212,7 +208,8 @@ def _norms(sets: SetsOnMotion, chosen: Sequence[_Line], title: str) -> Figure:
     """Norms of the forces of some sets, one panel a joint."""
     shown = sets.force[[sets.labels.index(own) for _, own, _ in chosen]]
     real = sets.force[0].amax(0)
-    far = bool((shown.amax((0, 1)) > _FAR * real.clamp(min=1e-9)).any())
+    # 8.0: times the real arm's largest value from which a logarithmic axis is easier to read
+    far = bool((shown.amax((0, 1)) > 8.0 * real.clamp(min=1e-9)).any())
     curves = {}
     for (text, own, colour), norms in zip(chosen, shown, strict=True):
         width, order = (2.4, 2) if own == "real" else (1.3, 3)
@@ -223,7 +220,8 @@ def _norms(sets: SetsOnMotion, chosen: Sequence[_Line], title: str) -> Figure:
         title, "force norm [N]", thin(sets.motion.t - sets.motion.t[0]), curves
     )
     for j, axes in enumerate(panels if far else ()):
-        least = max(_DECADES * float(real[j]), float(shown[..., j].min()) / 2)
+        # 1e-3: share of the real arm's largest value down to which a logarithmic axis goes
+        least = max(1e-3 * float(real[j]), float(shown[..., j].min()) / 2)
         axes.set(yscale="log", ylim=(least, None))
     return figure
 

@@ -37,11 +37,6 @@ def report_of_study(study: Study) -> Report:
     )
 
 
-_FREQUENT = 6
-_ACTIVE = 5e-2
-"""Share of phi_min that releasing a condition saves, for the condition to be named."""
-
-
 def identification_table(study: Study) -> Table:
     """Tables A.1 to A.4: coefficient, estimated, real, error."""
     found = study.identification
@@ -85,7 +80,8 @@ def search_table(study: Study) -> Table:
         e = s.extraction
         losses = (e.history_phi[:, -1].median(), e.phi.min(), e.phi.median(), e.phi.max())
         every = Counter(r for k in range(len(e.sets)) for r in s.feasibility.reasons(k))
-        often = [f"{name} {k}" for name, k in every.most_common(_FREQUENT)]
+        # 6: names at most
+        often = [f"{name} {k}" for name, k in every.most_common(6)]
         rows.append(
             (
                 s.scenario.id, str(len(e.sets)), *(number(float(x)) for x in losses),
@@ -110,9 +106,8 @@ def certificate_table(study: Study) -> Table:
     for bounds, c in study.certificates.items():
         # phi_min without each condition that raises it by more than a little, largest effect first.
         released = sorted(c.released.items(), key=lambda item: item[1])
-        active = [
-            f"{name} ({number(v, 4)})" for name, v in released if v < (1 - _ACTIVE) * c.phi_min
-        ]
+        # 5e-2: share of phi_min that releasing a condition saves, for the condition to be named
+        active = [f"{name} ({number(v, 4)})" for name, v in released if v < (1 - 5e-2) * c.phi_min]
         conditions = "all" if c.with_conditions else "bounds and physics only"
         no_room = facts.contradictions(study, bounds) or c.conflict
         stands = (", ".join(x) or "-" for x in (c.forcing, active, no_room, c.relaxed_active))

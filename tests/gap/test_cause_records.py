@@ -11,8 +11,8 @@ from torchid.design.columns import Model
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.inertia import RotorInertia
+from torchid.gap.cause_records import body_cause, effect_cause, valued
 from torchid.gap.describe.findings import Findings
-from torchid.gap.told import told, told_bodies, valued
 from torchid.gap.torque import that_help
 from torchid.results.cause import remedy_of
 
@@ -29,7 +29,7 @@ def test_the_arm_has_what_the_file_has_and_the_change(kind, file, change, joint)
     signed = effect.coefficients[0].non_negative
     arm = max(file + change, 0.0) if signed else file + change
     given_model = model((effect, [file])) if file else model()
-    cause = told((effect, [change]), [0.1], given_model, model((effect, [arm])), 0)
+    cause = effect_cause((effect, [change]), [0.1], given_model, model((effect, [arm])), 0)
     (size,) = cause.sizes
     assert size.value == arm
     assert size.was == (file if file else None)
@@ -43,30 +43,32 @@ def test_another_shape_takes_the_place_of_the_files(beside) -> None:
     """What stands beside the model's own is none of the file's."""
     own, new = (StribeckFriction(1, vs=vs) for vs in (0.1, 0.3))
     corrected = model((own, [2.0]), (new, [0.5])) if beside else model((new, [0.5]))
-    cause = told((new, [0.5]), [0.1], model((own, [2.0])), corrected, 0)
+    cause = effect_cause((new, [0.5]), [0.1], model((own, [2.0])), corrected, 0)
     assert cause.file == ({} if beside else {"Fs": 2.0})
     assert (cause.parameters["Fs"], cause.parameters["vs"]) == (0.5, 0.3)
 
 
 def test_what_mends_a_file_is_no_effect_of_the_corrected_model() -> None:
     effect = replace(ViscousFriction(0))
-    assert told((effect, [0.4]), [0.1], model(), model(), 0).sizes[0].value == 0.4
+    assert effect_cause((effect, [0.4]), [0.1], model(), model(), 0).sizes[0].value == 0.4
 
 
 def test_bodies_are_links_or_all() -> None:
-    link, every = told_bodies((1,)), told_bodies(())
+    link, every = body_cause((1,)), body_cause(())
     assert (link.name, link.at, every.name, every.at) == (
         "inertia of link 2", (1,), "inertial parameters", ()
     )  # fmt: skip
 
 
 def test_several_links_are_plural() -> None:
-    assert told_bodies((1, 4)).name == "inertia of links 2 and 5"
+    assert body_cause((1, 4)).name == "inertia of links 2 and 5"
 
 
 def test_what_all_joints_share_and_none_feels_much_can_be_read_back() -> None:
     effect = ViscousFriction(0)
-    cause = told((effect, [0.4]), [0.1], model(), model(), 0, joints=(), located=(), common=True)
+    cause = effect_cause(
+        (effect, [0.4]), [0.1], model(), model(), 0, joints=(), located=(), common=True
+    )
     assert cause.at == ()
     assert valued(cause, ROBOT) == (effect, [0.4])
 
@@ -78,7 +80,7 @@ def test_what_all_joints_share_and_none_feels_much_can_be_read_back() -> None:
 def test_forms_of_a_law_take_of_the_error_together(shares, kept) -> None:
     effects = (ViscousFriction(0), CoulombFriction(0), TorqueOffset(1))
     causes = tuple(
-        told((e, [0.4]), [0.1], model(), model(), 0, share=share)
+        effect_cause((e, [0.4]), [0.1], model(), model(), 0, share=share)
         for e, share in zip(effects, shares, strict=True)
     )
     helping, others = that_help(Findings(causes, ()), ROBOT, held_out=False)

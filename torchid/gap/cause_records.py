@@ -20,7 +20,7 @@ INERTIA_REMEDY = (
 )
 
 
-def told(
+def effect_cause(
     fitted: Valued, std: Sequence[float], given: Model, corrected: Model, main: int, **more: Any
 ) -> Cause:
     """An effect as a cause.
@@ -71,7 +71,7 @@ def told(
     )
 
 
-def told_bodies(links: Sequence[int], remedy: str = "", **more: Any) -> Cause:
+def body_cause(links: Sequence[int], remedy: str = "", **more: Any) -> Cause:
     """Other inertial parameters of links, or of all where there are none, as a cause."""
     return Cause(
         effect=LINK,
