@@ -85,7 +85,7 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
     if asked.held_out is not None:
         on, data = asked.held_out, _prepared(arm, asked.held_out)
     said = said_in_mjcf(arm.servos, set_points=not asked.plain)
-    alone, running = refitted(arm, fitted, said, (*SAID, *AT_RUN_TIME))
+    alone, running = refitted(arm, fitted, said, arm.servos.keeping((*SAID, *AT_RUN_TIME)))
     limits = _limits(robot)
     reach = torch.stack([fitted.q.amin(0), fitted.q.amax(0)], 1)
     passed = torch.stack([reach[:, 0] < limits[:, 0], reach[:, 1] > limits[:, 1]], 1)
@@ -118,7 +118,7 @@ def correct_positions(asked: CorrectionRequest, full: PositionDiagnosis | ServoA
         running.write(yaml)
         servos = (yaml,)
     if not isinstance(asked.with_effects, bool):
-        (drives,) = refitted(arm, fitted, AS_EFFORT)
+        (drives,) = refitted(arm, fitted, arm.servos.keeping(AS_EFFORT))
         title = f"{words}, all of it at run time"
         files.append(asked.write(servo_dynamics(drives), title, asked.with_effects))
     warnings = dict.fromkeys(words for one in files for words in one.warnings)

@@ -1,7 +1,7 @@
 """Write a result's dynamics in another format, reload them, and compare before they are kept."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +32,6 @@ from torchid.robot.config_files import is_urdf
 from torchid.robot.mjcf import mjcf_servos
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.origin import of_own_file
-from torchid.simulation.servo import Servos
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
@@ -249,25 +248,22 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
         return ()
     servos = dynamics.arm.servos
     words = (_SET_POINTS,) * (dynamics.set_points and bool(followed(servos).any()))
-    if to == "mjcf" and not has_field("pid"):
-        asked = said_in_mjcf(servos, set_points=dynamics.set_points)
-        lost = [x for x in ("integral", "speed") if x in unsaid_parameters(servos, asked)]
-        words += (f"{lacking('pid')}, so {' and '.join(lost)} of servos is left out",) * bool(lost)
-    if dynamics.late is not None:
-        return words
-    said: Collection[str] | Servos = {"usd": IN_LAYER}.get(to, JOINTS)
-    said = AS_EFFORT if to in get_args(Package) else said
+    names = AS_EFFORT if to in get_args(Package) else {"usd": IN_LAYER}.get(to, JOINTS)
+    said = servos.keeping(names)
     if to == "mjcf":
         said = said_in_mjcf(servos, set_points=dynamics.set_points)
-    names = unsaid_parameters(servos, said)
-    if not names:
+    unsaid = unsaid_parameters(servos, said)
+    if to == "mjcf" and not has_field("pid"):
+        lost = [x for x in ("integral", "speed") if x in unsaid]
+        words += (f"{lacking('pid')}, so {' and '.join(lost)} of servos is left out",) * bool(lost)
+    if dynamics.late is not None or not unsaid:
         return words
     hint = ""
     if to == "mjcf":
         hint = "; torchid.simulators.servo makes them at run time, and `log=...` refits the others"
     elif to not in get_args(Package):
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
-    return (f"of the servos {', '.join(names)} are not in it{hint}", *words)
+    return (f"of the servos {', '.join(unsaid)} are not in it{hint}", *words)
 
 
 def _of_ratios(ratios: Mapping[int, float]) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ plane, with which that point alone collides.
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -100,18 +100,14 @@ def said_in_mjcf(servos: Servos, *, set_points: bool = False) -> Servos:
     return dataclasses.replace(servos, joint=joint)
 
 
-def unsaid_parameters(
-    servos: Servos, names: Collection[str] | Servos
-) -> dict[str, tuple[int, ...]]:
-    """What of servos is not among the parameters of a file, or not in the servos that it says:
-    names, with joints from 0."""
+def unsaid_parameters(servos: Servos, said: Servos) -> dict[str, tuple[int, ...]]:
+    """What of servos is not in those that a file says: names, with joints from 0."""
     out = {}
     for p in PARAMETERS:
-        lost = servos.of(p.name) != (names.of(p.name) if isinstance(names, Servos) else p.neutral)
-        joints = lost.nonzero().flatten().tolist()
-        if joints and (isinstance(names, Servos) or p.name not in names):
+        joints = (servos.of(p.name) != said.of(p.name)).nonzero().flatten().tolist()
+        if joints:
             out[p.name] = tuple(joints)
-    if float(servos.plane[4]) > 0 and not isinstance(names, Servos) and PLANE not in names:
+    if float(servos.plane[4]) > 0 and not float(said.plane[4]) > 0:
         out[PLANE] = ()
     return out
 

@@ -179,8 +179,8 @@ def best_answer(
     model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
     rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
     # What follows no better than the file's servos is no reason for others.
-    fall = file.model.losses(motions) - model.losses(motions)
-    near = fall < LeastFall.beside(motions, model.servos).of(1)
+    least = LeastFall.beside(motions, model.servos)
+    near = file.model.losses(motions) - least.left < least.of(1)
     model, by_file = model.joined(file.model, near), by_file | near
     for name in worth.keys() - {GRAVITY.name, PAYLOAD.name}:
         if BY_NAME[name].parameters:
@@ -270,10 +270,10 @@ def _or_a_load(
 def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoModel:
     """The model with simple servos on the joints that these follow as well: a search may end where
     more parameters do no better."""
-    before, after = (m.losses(motions) for m in (simple, model))
     more = [on.double() - simple.where_free(name).double() for name, on in model.free.items()]
-    call = LeastFall.beside(motions, model.servos).of(torch.stack(more).sum(0).clamp(min=1.0))
-    return model.joined(simple, before - after < call)
+    least = LeastFall.beside(motions, model.servos)
+    call = least.of(torch.stack(more).sum(0).clamp(min=1.0))
+    return model.joined(simple, simple.losses(motions) - least.left < call)
 
 
 def _needed(

@@ -8,7 +8,7 @@ motions, and how far it goes is judged on motions that it was not fitted on.
 
 import itertools
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -214,17 +214,14 @@ def _ratios_alone(
     return unanchored | (std > UNSURE_SCALE), unanchored
 
 
-def refitted(
-    arm: ServoArm, data: PositionData, *allowed: Collection[str] | Servos
-) -> tuple[ServoArm, ...]:
+def refitted(arm: ServoArm, data: PositionData, *allowed: Servos) -> tuple[ServoArm, ...]:
     """The arm with servos that have some parameters alone, fitted to a log.
 
     Args:
         arm: whose servos may have more.
         data: of the same robot, from `prepare`.
-        allowed: of `torchid.effects.servo.PARAMETERS`, the core's among them, once for each of
-            the answers; others than the core's are free where the arm has them. A `plane` stays
-            where the arm has it, or goes. Or servos without what may not be.
+        allowed: the arm's own servos without what may not be, once for each of the answers: the
+            core is free on all joints, another parameter where they have it.
     """
     motions = Motions(data, some_of(windows_of(data.tracks, WINDOW_S), MOST_WINDOWS))
     used = {p.name: arm.servos.of(p.name) != p.neutral for p in PARAMETERS}
@@ -234,14 +231,9 @@ def refitted(
     logs = core & torch.tensor([p.kind == "log" for p in PARAMETERS])
     neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=torch.float64)
     simple, out = None, []
-    for names in allowed:
-        if isinstance(names, Servos):
-            plane, joint = names.plane, names.joint
-            kept = (joint != neutral) | core
-        else:
-            plane = arm.servos.plane * ("plane" in names)
-            kept = torch.tensor([p.name in names for p in PARAMETERS]).expand(data.robot.n, -1)
-            joint = torch.where(kept, arm.servos.joint, neutral)
+    for servos in allowed:
+        plane, joint = servos.plane, servos.joint
+        kept = (joint != neutral) | core
         left = {name: on & kept[:, INDEX[name]] for name, on in used.items()}
         free = {name: on for name, on in left.items() if bool(on.any())}
         # What is searched on a logarithmic scale begins at a number.

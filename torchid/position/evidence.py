@@ -58,12 +58,14 @@ class LeastFall:
     """Fall of losses from which a cause is likelier than none, where servos explain the rest.
 
     Attributes:
-        height: (n,) losses that these leave, with what is known to be none of a servo's [rad^2].
+        left: (n,) losses that these leave [rad^2].
+        floor: (n,) of them that are known beforehand to be none of a servo's [rad^2].
         samples: (n,) that count.
         price: of a cause [nats].
     """
 
-    height: Float[Tensor, " n"]
+    left: Float[Tensor, " n"]
+    floor: Float[Tensor, " n"]
     samples: Float[Tensor, " n"]
     price: float
 
@@ -72,14 +74,15 @@ class LeastFall:
         """Where these servos are the better explanation."""
         residual, windows = errors_of_one(motions.data, servos, motions.windows), motions.windows
         left = loss(residual[..., None], windows)[:, 0]
-        samples = samples_of(motions, motions.slight, left, alike_rows(residual, windows))
+        floor = motions.slight
+        samples = samples_of(motions, floor, left, alike_rows(residual, windows))
         price = price_of(len(EFFECTS) * int((~motions.data.still).sum()))
-        return cls(left + motions.slight, samples.clamp(min=2.0), price)
+        return cls(left, floor, samples.clamp(min=2.0), price)
 
     def of(self, numbers: float | Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Of a cause with so many numbers [rad^2]: each costs as much as samples tell of it."""
         paid = self.price + 0.5 * numbers * self.samples.log()
-        return self.height * (2 * paid / self.samples).expm1()
+        return (self.left + self.floor) * (2 * paid / self.samples).expm1()
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,6 +117,7 @@ def beside_file(
         does as well in its place.
     """
     by_file, worth, rivals = ~motions.every, dict(worth), Rivals()
+    fall = LeastFall.beside(motions, model.servos)
     for effect in (*GAINS, *(e for e in EFFECTS if e.parameters)):
         names = [p for p in PARAMETERS if p.name in effect.parameters]
         has = torch.stack([file.of(p.name) != p.neutral for p in names]).any(0)
@@ -129,8 +130,7 @@ def beside_file(
         # Where the gain is the file's, another one is no way to keep the file's number.
         without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
         needed = asked & _differs(motions, model, file, names)
-        call = LeastFall.beside(motions, model.servos).of(len(effect.parameters))
-        least = torch.maximum(call, squares * without.sum(0))
+        least = torch.maximum(fall.of(len(effect.parameters)), squares * without.sum(0))
         needed &= _needed(motions, whole, without, least)
         either = needed & by_file & ~_needed(motions, whole, two, least)
         for j in torch.nonzero(either).flatten().tolist():
@@ -138,6 +138,7 @@ def beside_file(
         if effect is GAINS[0]:
             by_file = ~needed
             model = model.joined(held, by_file)
+            fall = LeastFall.beside(motions, model.servos)
         before, with_it = worth.get(effect.name, (torch.full_like(whole, torch.nan), whole))
         named = torch.where(asked, torch.where(needed, without, torch.nan), before)
         worth[effect.name] = named, with_it

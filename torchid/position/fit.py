@@ -228,10 +228,9 @@ def fit(
     mask = torch.stack([*free.values()], 1) if free else torch.zeros(servos.n, 0, dtype=torch.bool)
     origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
     plane_damping = 1e-2
+    begun, kinds = origin[:, at], [PARAMETERS[i].kind for i in at.tolist()]
+    logs, positive = (torch.tensor([p == kind for p in kinds]) for kind in ("log", "positive"))
     for _ in range(iterations):
-        begun = origin[:, at]
-        kinds = [PARAMETERS[i].kind for i in at.tolist()]
-        logs, positive = (torch.tensor([p == kind for p in kinds]) for kind in ("log", "positive"))
         s = sensitivities(data, servos, names, windows, plane=plane)
         w = weights(s.residual, windows)
         square = mean_square(s.residual, w, windows)

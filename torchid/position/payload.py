@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchid.effects.servo import INDEX, PARAMETERS, TORQUES
 from torchid.position.data import PositionData
+from torchid.position.evidence import samples_of
 from torchid.position.fit import (
     HARDLY,
     LONGEST,
@@ -259,9 +260,8 @@ class _Profile:
     def __init__(self, beside: _Beside, begun: _Place, most: float):
         windows, self.floor = beside.windows, beside.motions.slight
         error = errors_of_one(beside.load.carrying(begun.x), begun.servos, windows)
-        noise = begun.losses * alike_rows(error, windows) + self.floor * beside.together
-        # Rows that are independent, as `evidence` counts them.
-        self.samples = windows.rows / (noise / (begun.losses + self.floor)).clamp(min=1.0)
+        alike = alike_rows(error, windows)
+        self.samples = samples_of(beside.motions, self.floor, begun.losses, alike)
         self.places, before = [begun], math.inf
         # Servos that stick settle in many places: from the likeliest all others are fitted again.
         while before - self._misfit(centre := self.best) > NEARER:

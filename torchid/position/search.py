@@ -251,12 +251,10 @@ def _with_filter(motions: Motions, model: ServoModel) -> ServoModel:
     return filtered.fitted(motions, 3, plane=True)
 
 
-def _scanned(
-    motions: Motions, model: ServoModel, scans: Sequence[Sequence[float]] = _SCANS
-) -> ServoModel:
+def _scanned(motions: Motions, model: ServoModel) -> ServoModel:
     """With profiles and filters where simulations are best, farther and nearer about where they
     are: their losses have valleys."""
-    for name, factors in itertools.product(VALLEYS, scans):
+    for name, factors in itertools.product(VALLEYS, _SCANS):
         if name not in model.free:
             continue
         sets = _sets(model.servos, len(factors))
@@ -467,11 +465,11 @@ def with_usual_effects(motions: Motions, model: ServoModel) -> ServoModel:
         # The others begin where a search does: their numbers have made up for what they lack.
         values = torch.where(others[:, None], _start(motions.data, CORE).joint, model.servos.joint)
         for name in effect.parameters:
-            k, unit = INDEX[name], torch.ones_like(before)
+            k, there, here = INDEX[name], torch.ones_like(before), torch.ones_like(before)
             if name in TORQUES:  # beside kp
-                unit = model.servos.of("kp")
-            usual = (model.servos.of(name) / unit)[has].median()
-            values[others, k] = usual * torch.where(unit == 1, unit, values[:, INDEX["kp"]])[others]
+                there, here = model.servos.of("kp"), values[:, INDEX["kp"]]
+            usual = (model.servos.of(name) / there)[has].median()
+            values[others, k] = usual * here[others]
         free = {name: there & ~others for name, there in model.free.items()}
         free |= dict.fromkeys((*CORE, *effect.parameters), others)
         tried = replace(model.at(values), free=free).fitted(motions, 7)

@@ -11,8 +11,8 @@ rest with anything up to its dry part (Coulomb, more at rest, and shares of the 
 external torque).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -53,6 +53,13 @@ class Servos:
     def of(self, name: str) -> Float[Tensor, "*batch n"]:
         """One parameter of every joint."""
         return self.joint[..., INDEX[name]]
+
+    def keeping(self, names: Collection[str]) -> "Servos":
+        """Without the effect of any other parameter; a `plane` is one, too."""
+        kept = torch.tensor([name in names for name in NAMES])
+        neutral = torch.tensor([p.neutral for p in PARAMETERS], dtype=self.joint.dtype)
+        plane = self.plane * ("plane" in names)
+        return replace(self, joint=torch.where(kept, self.joint, neutral), plane=plane)
 
     def record(self) -> dict[str, object]:
         """As yaml and JSON hold them; one set, without what has no effect."""

@@ -144,14 +144,25 @@ def table(
     rows: Iterable[Sequence[object]],
     file: Path | None = None,
     before: str = "",
+    page: Path | None = None,
 ) -> None:
-    """Print a table of Markdown, and write it to a file with a text before it."""
+    """Print a table of Markdown, and write it to a file with a text before it, or into a page."""
     from torchid.report.table import pipe_table
 
     text = f"\n{pipe_table(head, rows)}\n"
     print(text, flush=True)
+    if page is not None:
+        replace_table(page, text.strip().splitlines())
     if file is not None:
         file.write_text(f"{before}\n{text}")
+
+
+def replace_table(page: Path, table: list[str]) -> None:
+    """Put the table in the place of the page's own, which begins with the same first title."""
+    title = " | ".join(table[0].split(" | ")[:2])
+    before, _, after = page.read_text().partition(title)
+    rest = after.partition("\n\n")[2]
+    page.write_text(before + "\n".join(table) + "\n\n" + rest)
 
 
 def share(hits: int, count: int) -> str:

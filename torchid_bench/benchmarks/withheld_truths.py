@@ -12,8 +12,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from torchid_bench.benchmarks.runner import command, share
-from torchid_bench.benchmarks.targets.table import write
+from torchid_bench.benchmarks.runner import command, share, table
 from torchid_bench.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
 from torchid_bench.withheld.measures import coefficient_coverage, how_named
 from torchid_bench.withheld.score import scored_case
@@ -34,14 +33,12 @@ def main(folders: Sequence[Path], *, page: Path | None = None) -> None:
             for family in (row.planted[0].family, ALL):
                 named[family].append(how_named(row).top1)
                 held[family] += coefficient_coverage(row)
-    lines = ["| family of the injected truth | recovered | interval holds |", "|---|---|---|"]
+    heads, rows = ["family of the injected truth", "recovered", "interval holds"], []
     for family in [*sorted(set(named) - {ALL}), ALL]:
         found, kept = named[family], held[family]
         interval = share(sum(kept), len(kept)) if kept else "no number to hold"
-        lines.append(f"| {family} | {share(sum(found), len(found))} | {interval} |")
-    print("\n".join(lines))
-    if page:
-        write(page, lines)
+        rows.append((family, share(sum(found), len(found)), interval))
+    table(heads, rows, page=page)
 
 
 if __name__ == "__main__":

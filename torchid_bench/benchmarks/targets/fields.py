@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from torchid.export.releases import FIELDS
-from torchid_bench.benchmarks.runner import command
-from torchid_bench.benchmarks.targets.table import write
+from torchid_bench.benchmarks.runner import command, table
 
 _ASK = """
 import json, mujoco
@@ -44,13 +43,12 @@ def main(folders: Sequence[Path] = (), *, page: Path | None = None) -> None:
     """Print the table, and put it into a page."""
     releases = [asked(folder) for folder in (*folders, None)]
     heads = ["what is found", "field", *(version for version, _ in releases), "without it"]
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    for name, field in FIELDS.items():
-        has = ["yes" if own[name] else "no" for _, own in releases]
-        lines.append(f"| {' | '.join([field.found, field.field, *has, field.without])} |")
-    print("\n".join(lines))
-    if page:
-        write(page, lines)
+    said = {True: "yes", False: "no"}
+    rows = [
+        (f.found, f.field, *(said[own[name]] for _, own in releases), f.without)
+        for name, f in FIELDS.items()
+    ]
+    table(heads, rows, page=page)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[3]
-TARGETS = ("mjlab", "newton", "isaaclab", "usd")
 
 
 def python_of(target: str) -> str | None:

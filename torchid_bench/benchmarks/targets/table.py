@@ -24,10 +24,11 @@ from torchid.export.results import robot_dynamics, servo_dynamics
 from torchid.gap.data import prepare as prepare_torque
 from torchid.log.model import Log
 from torchid.position.data import prepare
+from torchid.report.table import pipe_table
 from torchid.simulation.servo_loop import windows_of
 from torchid.simulation.shooting import starts_of
 from torchid.simulation.shooting import windows_of as torque_windows
-from torchid_bench.benchmarks.runner import command
+from torchid_bench.benchmarks.runner import command, replace_table
 from torchid_bench.benchmarks.targets.motion import Played
 from torchid_bench.benchmarks.targets.play import play, python_of
 
@@ -98,14 +99,6 @@ def rows(what: Dynamics, motion: Played, measured: np.ndarray) -> Iterator[str]:
             yield f"| {what.robot.name} | {target} | {run} | {promised} | {found} | {apart:.2g} {unit} |"
 
 
-def write(page: Path, table: list[str]) -> None:
-    """Put the table in the place of the page's own, which begins with the same first title."""
-    title = " | ".join(table[0].split(" | ")[:2])
-    before, _, after = page.read_text().partition(title)
-    rest = after.partition("\n\n")[2]
-    page.write_text(before + "\n".join(table) + "\n\n" + rest)
-
-
 def main(
     *,
     servos: tuple[Path, Path] | None = None,
@@ -115,9 +108,8 @@ def main(
 ) -> None:
     """Print the table of YAML and LOG of positions, of torques (or of currents with the drives' gains),
     and put it into a page."""
-    lines = ["| arm | target | what runs | promised | measured | largest difference |"]
-    lines.append("|---|---|---|---|---|---|")
-    cases = []
+    heads = "arm", "target", "what runs", "promised", "measured", "largest difference"
+    cases, lines = [], pipe_table(heads, ()).splitlines()
     if servos:
         cases.append(by_position(servos[0], read_log([servos[1]])))
     if torque:
@@ -130,7 +122,7 @@ def main(
             print(line, flush=True)
             lines.append(line)
     if page:
-        write(page, lines)
+        replace_table(page, lines)
 
 
 if __name__ == "__main__":
