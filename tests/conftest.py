@@ -18,6 +18,11 @@ import numpy as np
 import pytest
 import torch
 import typer.main
+from hypothesis import settings
+
+# A slow machine is no fault of what is tested.
+settings.register_profile("torchid", deadline=None)
+settings.load_profile("torchid")
 
 # Annotations, of shapes, dtypes and the rest, are checked in the packages that TORCHID_TYPES names,
 # by the tests of these packages: where shapes are the subject in `make test`, in all of torchid

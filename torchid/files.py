@@ -41,7 +41,7 @@ def add_input(path: Path) -> None:
 
 
 def require_no_input(path: str | Path, what: str = "") -> None:
-    """That writing a file takes the place of no input.
+    """Refuse to write a file over an input.
 
     Links are resolved, and files are told by their inodes, so that no other name hides one.
 
@@ -66,7 +66,8 @@ def require_no_input(path: str | Path, what: str = "") -> None:
 
 
 def require_writable(path: Path, what: str) -> None:
-    """That a result can be written, before any work is done for it: `-` and devices always.
+    """Refuse a result that cannot be written, before any work is done for it; `-` and devices
+    always can.
 
     Args:
         path: to be written.
@@ -123,7 +124,8 @@ def similar_files(path: Path, suffixes: Iterable[str] = ()) -> list[str]:
 
 
 def require_folder(folder: Path) -> None:
-    """That a folder of results is there and takes files, or can be made; it is not made yet.
+    """Refuse a folder of results that is not there and cannot be made, or takes no file; it is not
+    made yet.
 
     Raises:
         TorchidError: it cannot, or is a file.

@@ -15,7 +15,8 @@ __all__ = ["LogLike", "RobotLike", "as_log", "as_robot"]
 
 
 def as_log(log: LogLike, robot: Robot | None = None, *, usable: bool = True) -> Log:
-    """A log as it is, or of whatever `read_log` takes, its joints in the order of the robot.
+    """A log as it is, or of whatever `read_log` takes, its joints in the order of the robot; with
+    torque where it has currents alone and the robot says what they make.
 
     Args:
         log: what stands for one.
@@ -32,4 +33,13 @@ def as_log(log: LogLike, robot: Robot | None = None, *, usable: bool = True) -> 
     if usable:
         check_finite(log, commands=False)
         check_increasing(log)
-    return log
+    return log if robot is None else with_drive_gain(log, robot)
+
+
+def with_drive_gain(log: Log, robot: Robot) -> Log:
+    """The log with the torque that its currents make by the robot's drive gains; as it is where it
+    has a torque, no current, or another number of joints, or where no gain is known."""
+    gain = robot.drive_gain
+    if log.tau is not None or log.current is None or gain is None or len(gain) != log.n:
+        return log
+    return log.with_torque(gain)

@@ -1,5 +1,7 @@
 """Numbers as users have them (tensors, arrays, lists), as tensors: at the doors of the library."""
 
+import ctypes
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -55,6 +57,13 @@ def require_count(count: object, what: str, least: int = 1) -> None:
     if type(count) is not int or not least <= count <= most:
         wanted = f"a whole number, {least} to {most}"
         raise TorchidError(f"so many {what} cannot be drawn.", got=[count], expected=wanted)
+
+
+def give_back_memory() -> None:
+    """Return what was freed to the system: the GNU C library keeps it for arrays of the same size,
+    and what follows on a long log makes others. Nothing where there is another library."""
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def usable_device(name: str) -> str:

@@ -273,7 +273,7 @@ class Study(Result):
 
 
 def _scenario(study: Study, result: ScenarioResult) -> ScenarioRecord:
-    found, scenario = result.extraction, result.scenario
+    extraction, scenario = result.extraction, result.scenario
     at = study.wrench_motion.labels.index(scenario.id)
     force = study.wrench_motion.force
     return ScenarioRecord.of(
@@ -281,11 +281,11 @@ def _scenario(study: Study, result: ScenarioResult) -> ScenarioRecord:
         scenario,
         force_norm_difference_rms=(force[at] - force[0]).square().mean(0).sqrt(),
         runs=RunsRecord.of(
-            found,
+            extraction,
             feasible=int(result.feasibility.feasible.sum()),
-            gamma_zero=int((found.gamma == 0).sum()),
-            reasons=[result.feasibility.reasons(k) for k in range(len(found.phi))],
+            gamma_zero=int((extraction.gamma == 0).sum()),
+            reasons=[result.feasibility.reasons(k) for k in range(len(extraction.phi))],
             degree=result.feasibility.degree,
         ),
-        contradictions=found.contradictions,
+        contradictions=extraction.contradictions,
     )

@@ -96,7 +96,7 @@ class StudySettings:
             raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
 
     def quick(self) -> "StudySettings":
-        """The same study with a small search: a fifth of the runs, stages and generations."""
+        """The study with a small search: a fifth of the runs, stages and generations."""
         search = self.search
         return replace(
             self,
@@ -114,8 +114,8 @@ _KEYS = [key.name for key in fields(StudySettings) if key.name != "name"]
 
 def study_names() -> list[str]:
     """The built-in studies, in the report's order."""
-    found = [path.stem for path in config_folder("studies").glob("*.yaml")]
-    return sorted(found, key=lambda name: load_study(name).section)
+    names = [path.stem for path in config_folder("studies").glob("*.yaml")]
+    return sorted(names, key=lambda name: load_study(name).section)
 
 
 def study_file(name: str) -> Path:

@@ -105,7 +105,8 @@ def sets_on_motion(robot: Robot, sets: ParameterSets, motion: Log) -> SetsOnMoti
 
 
 def payload_part(robot: Robot, settings: StudySettings, motion: Log) -> PayloadResult:
-    """The same exciting motion with and without a payload, with the noise of real sensors."""
+    """A payload identified from one exciting motion driven with and without it, with the noise of
+    real sensors."""
     body = settings.payload
     com = torch.tensor([body.com], dtype=torch.float64)
     inertia = torch.tensor([body.inertia_about_com], dtype=torch.float64)
@@ -177,15 +178,15 @@ def run_study(
     every_extraction = each(_searched, searches, workers, "extractions", report)
     scenarios = []
     test = new_motion(robot, settings.sets_motion)
-    for scenario, found in zip(settings.scenarios, every_extraction, strict=True):
-        clock.took(f"extraction {scenario.id}", found.seconds)
-        own = _scenario_result(robot, scenario, found, test)
+    for scenario, extraction in zip(settings.scenarios, every_extraction, strict=True):
+        clock.took(f"extraction {scenario.id}", extraction.seconds)
+        own = _scenario_result(robot, scenario, extraction, test)
         scenarios.append(own)
         # A feasible set with less loss than is possible is a fault, never to be passed over.
         # 1e-6: share of phi_min by which a feasible set's loss may be below it: the solver's
         # rounding
         least = certificates[scenario.bounds].phi_min * (1 - 1e-6)
-        below = int((own.feasibility.feasible & (found.phi < least)).sum())
+        below = int((own.feasibility.feasible & (extraction.phi < least)).sum())
         if below:
             said = "sets are feasible and have a loss below phi_min"
             warnings.append(f"{scenario.id}: {below} {said}")
@@ -236,16 +237,16 @@ def _problems(robot: Robot, settings: StudySettings, target: Target) -> dict[str
 
 
 def _scenario_result(
-    robot: Robot, scenario: Scenario, found: Extraction, motion: Log
+    robot: Robot, scenario: Scenario, extraction: Extraction, motion: Log
 ) -> ScenarioResult:
     """All runs of a scenario, and its best set's torque on a new motion."""
-    best = replace(found.sets.part([found.best]), ids=(scenario.id,))
+    best = replace(extraction.sets.part([extraction.best]), ids=(scenario.id,))
     torque = sets_torque(robot, with_real(best, nominal_set(robot)), motion)
     rms = (torque[1] - torque[0]).square().mean(0).sqrt()
     return ScenarioResult(
         scenario=scenario,
-        extraction=found,
-        feasibility=feasibility(found.sets, found.problem.conditions),
+        extraction=extraction,
+        feasibility=feasibility(extraction.sets, extraction.problem.conditions),
         best=best,
         torque_rms=rms,
         torque_relative=float((rms / torque[0].square().mean(0).sqrt()).max()),

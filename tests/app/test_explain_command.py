@@ -7,10 +7,22 @@ def test_a_folder_is_listed_and_indexed(command, tmp_path):
     (tmp_path / "results" / "arm").mkdir(parents=True)
     diagnosis().save(tmp_path / "results" / "arm" / "gap.json")
     index = tmp_path / "results" / "index.html"
-    done = command("explain", tmp_path / "results", "--report", index)
-    assert done.code == 0, done.err
+    for _ in range(2):  # the page of before is no input
+        done = command("explain", tmp_path / "results", "--report", index)
+        assert done.code == 0, done.err
     assert "1 result below" in done.out
     assert 'href="arm/gap.json"' in index.read_text()
+
+
+def test_no_result_of_the_folder_is_written_over(command, tmp_path):
+    file = tmp_path / "results" / "gap.json"
+    file.parent.mkdir()
+    diagnosis().save(file)
+    before = file.read_text()
+    done = command("explain", file.parent, "--json", file)
+    assert done.code == 1
+    assert "would overwrite the input" in done.err
+    assert file.read_text() == before
 
 
 def test_the_page_of_one_result_is_refused(command, tmp_path):

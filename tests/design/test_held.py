@@ -10,7 +10,6 @@ from torchid.design.motion import measurements
 from torchid.design.segments import segments_of
 from torchid.log.model import Log
 from torchid.log.readers import read_log
-from torchid.log.sampling import resample
 
 
 def moving_log(seed: int = 0, *, rate: float = RATE, sigma: float = 0.1) -> Log:
@@ -67,7 +66,7 @@ def test_ages_follow_resampling_and_the_segments_grid():
     tau = log.tau.clone()
     hold(tau, 1, 9000, 60)
     jitter = 3e-4 * torch.rand(log.samples, generator=torch.Generator().manual_seed(1))
-    even = resample(log.replace(t=log.t + jitter, tau=tau))
+    even = log.replace(t=log.t + jitter, tau=tau).even
     found = held_ages(even)
     assert float(found[:, 1].max()) == pytest.approx(0.059, abs=2e-3)
     assert int((found > 0).sum()) == pytest.approx(59, abs=2)
@@ -86,5 +85,5 @@ def test_ages_follow_resampling_and_the_segments_grid():
      "panda_unisa/log_exciting", "ur10_unisa/log_exciting", "emps/log_train"],
 )  # fmt: skip
 def test_real_quantised_logs_have_no_holds(name):
-    log = resample(read_log([FOLDER / f"{name}.parquet"]))
+    log = read_log([FOLDER / f"{name}.parquet"]).even
     assert float((held_ages(log) > 0).double().mean()) < 1e-3

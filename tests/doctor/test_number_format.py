@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.doctor.synthetic import clean
@@ -18,7 +18,6 @@ def moving(amplitude, offset=0.0):
     return (amplitude * torch.sin(3 * TIME) + offset).round()[:, None]
 
 
-@settings(deadline=None)
 @given(
     number=st.sampled_from([(16, 1.0), (16, 0.01), (32, 1.0)]),
     amplitude=st.integers(200, 30_000),

@@ -164,7 +164,7 @@ def test_without_parameters_says_what_is_missing() -> None:
 kinds = st.text(alphabet="RP", min_size=1, max_size=6)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(kinds=kinds, seed=st.integers(0, 2**31))
 def test_any_chain_equals_pinocchio(kinds: str, seed: int) -> None:
     robot = mixed_arm(kinds, seed)
@@ -173,7 +173,7 @@ def test_any_chain_equals_pinocchio(kinds: str, seed: int) -> None:
     assert relative(inverse_dynamics(robot, *motion), expected) < PEERS
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31), factor=st.floats(-10, 10))
 def test_torque_is_linear_in_the_parameters(seed: int, factor: float) -> None:
     robot = mixed_arm(seed=seed)

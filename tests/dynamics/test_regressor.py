@@ -125,7 +125,7 @@ def test_last_joint_alone(kind: str) -> None:
         torch.testing.assert_close(y[:, 0, 4:], ddq * spin)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(kinds=st.text(alphabet="RP", min_size=1, max_size=6), seed=st.integers(0, 2**31))
 def test_both_ways_agree_on_any_chain(kinds: str, seed: int) -> None:
     robot = mixed_arm(kinds, seed)

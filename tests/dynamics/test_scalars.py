@@ -59,7 +59,7 @@ def test_known_products_cost_nothing() -> None:
     assert dot(Vec3(1.0, 2.0, 3.0), Vec3(4.0, 5.0, 6.0)) == 32.0
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(a=vectors, b=vectors, c=vectors, k=mixed)
 def test_vectors_as_in_torch(a: Vec3, b: Vec3, c: Vec3, k: Scalar) -> None:
     x, y, z = array(a), array(b), array(c)

@@ -28,7 +28,7 @@ def trees(draw: st.DrawFn) -> Robot:
 
 
 HUMANLIKE = random_tree([-1, 0, 1, 0, 3, 0, 5, 5, -1], "RRRRPRRPR", 4, {7: 6, 4: 1})
-TREES = settings(max_examples=25, deadline=None)
+TREES = settings(max_examples=25)
 
 
 @TREES

@@ -8,12 +8,12 @@ import torch
 from torchid.effects.base import Effect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset
 from torchid.effects.friction_laws import (
-    RESTING,
     AsymmetricFriction,
     LoadDependentFriction,
     PowerLawFriction,
     StribeckFriction,
 )
+from torchid.log.movement import RESTING
 
 
 def at(*speeds: float, torque: float | None = None) -> Motion:

@@ -195,7 +195,7 @@ LATE = {"effect": "time_delay", "joint": 1, "delay": 0.013}
 
 
 @given(batch=st.lists(st.integers(0, 3), max_size=3), late=st.booleans(), seed=st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_batch_of_motions_is_each_of_them(batch: list[int], late: bool, seed: int) -> None:
     model, count = friction(*[LATE] * late), math.prod(batch)
     each = [moves(seed=seed + k) for k in range(count)]

@@ -10,7 +10,7 @@ from torchid.effects.scan import affine_scan
 
 lengths = st.integers(0, 70)
 seeds = st.integers(0, 10_000)
-few = settings(max_examples=40, deadline=None)
+few = settings(max_examples=40)
 
 
 def loop(step, x: Tensor, y: Tensor, initial: Tensor) -> Tensor:

@@ -153,6 +153,23 @@ def test_a_file_with_its_effects_has_the_full_models_error(done):
     assert {"stribeck_friction", "load_dependent_friction", "torque_offset"} <= beside
 
 
+def test_loads_at_run_time_are_those_of_the_bodies_in_the_file(tmp_path):
+    """A first link of 8 kg more, which no torque tells, presses the thrust bearing of the diagnosed
+    arm: the file has bodies near the nominal ones, and its friction is fitted to their loads."""
+    nominal = arm("3r")
+    pi = nominal.require_parameters("a test").pi.clone()
+    pi[0, 0] += 8.0
+    friction = {"effect": "axial_load_friction", "joint": 1, "r_a": 0.02}
+    full = replace(nominal.with_parameters(InertialParameters(pi)), effects=(*FIELDS, friction))
+    logs = [log_of(full, seed) for seed in (0, 1)]
+    done = correct(nominal, full, logs[0], "mjcf", tmp_path, held_out=logs[1], with_effects=True)
+    assert float(done.judged.full.max()) < 1.0
+    assert float(done.judged.run_time.max()) < 2.0
+    written = done.exports[1].dynamics.robot
+    masses = [float(r.require_parameters("a test").mass.sum()) for r in (full, written)]
+    assert masses[1] < 0.9 * masses[0]
+
+
 def test_the_example_replays_a_log(done, logs, tmp_path, monkeypatch, capsys):
     """With the effects the arm is nearer to the log on each of the joints that have them."""
     write_log(logs[1], tmp_path / "run.csv")

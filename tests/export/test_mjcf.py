@@ -206,9 +206,7 @@ def test_a_urdf_gives_a_new_mjcf(tmp_path):
     assert [e["effect"] for e in load_robot(done.files[0]).effects].count("joint_spring") == 1
 
 
-@settings(
-    max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10_000), scale=st.sampled_from([1e-3, 1.0, 1e3]))
 def test_random_bodies_survive_the_round_trip(seed, scale, tmp_path):
     original = tmp_path / "classy.xml"

@@ -9,6 +9,9 @@ import pytest
 import torch
 
 from tests.position.planted import robot, true_servos
+from torchid.effects.hysteresis import PreslidingHysteresis
+from torchid.effects.motion import Motion
+from torchid.effects.periodic import Cogging
 from torchid.effects.servo import INDEX
 from torchid.export import releases
 from torchid.export.export import export_dynamics
@@ -108,24 +111,34 @@ def test_springyield_is_a_loop():
 
 
 @needs("dcmotor")
-def test_a_passive_motor_has_dahls_friction_and_cogging():
-    """Without a control: friction of Fh after a way of many lengths, and a sine of the position."""
+def test_a_passive_motor_is_presliding_hysteresis_and_cogging():
+    """To and fro, of any amplitude: the torques of both effects, to rounding, and no control."""
+    friction, ripple = PreslidingHysteresis(0, 0.05), Cogging(0, 12.3)
+    f, a, c, dt = 0.4, 0.3, -0.2, 0.002
+    turn = np.arctan2(c, a)
     motor = (
         "<dcmotor joint='j' input='none' resistance='1' motorconst='0' "
-        f"lugre='{0.4 / 0.01} 0 0.4 0.4 1' cogging='0.3 5 0.2'/>"
+        f"lugre='{f / 0.05} 0 {f} {f} 1' cogging='{-np.hypot(a, c)} 12.3 {turn}'/>"
     )
     model = mujoco.MjModel.from_xml_string(SLIDE.format(joint="", actuator=motor))
     assert model.nu == 0
-    model.dof_armature[0] = 1e9
-    data = mujoco.MjData(model)
-    data.qvel[0] = 0.5
-    for _ in range(300):
+    model.opt.timestep, model.dof_armature[0] = dt, 1e9
+    data, said = mujoco.MjData(model), []
+    t = dt * np.arange(2000)
+    q = (0.15 * np.sin(3 * t) + 0.02 * np.sin(17 * t))[:, None]
+    dq = np.diff(q, axis=0, append=q[-1:]) / dt
+    for place, speed in zip(q, dq, strict=True):
+        data.qpos[:], data.qvel[:] = place, speed
+        mujoco.mj_forward(model, data)
+        said.append(float(data.qfrc_actuator[0]))
         mujoco.mj_step(model, data)
-        q = float(data.qpos[0])
-    mujoco.mj_forward(model, data)
-    expected = -0.4 + 0.3 * np.sin(5 * data.qpos[0] + 0.2)
-    assert data.qfrc_actuator[0] == pytest.approx(expected, abs=2e-3)
-    assert q > 0.25
+    state = [torch.from_numpy(x).double() for x in (q, dq, np.zeros_like(q))]
+    motion = Motion(*state, t=torch.from_numpy(t))
+    expected = f * friction.columns(motion)[..., 0] + ripple.columns(motion) @ torch.tensor(
+        [a, c], dtype=torch.float64
+    )
+    assert -np.array(said) == pytest.approx(expected.flatten().numpy(), abs=1e-9)
+    assert np.ptp(said) > 0.8
 
 
 def test_what_a_release_lacks_is_left_out_and_said(tmp_path, monkeypatch):

@@ -237,9 +237,7 @@ def test_exporting_an_export_changes_its_head_only(tmp_path):
     assert sorted(map(str, a.effects)) == sorted(map(str, b.effects))
 
 
-@settings(
-    max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10_000), scale=st.sampled_from([1e-4, 1.0, 1e3]))
 def test_random_bodies_survive_the_round_trip(seed, scale, tmp_path):
     original = tmp_path / "arm.urdf"

@@ -106,7 +106,7 @@ def test_only_ranks_matter(transform) -> None:
 
 
 @ENGINE_CASES
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(runs=st.integers(1, 5), n=st.integers(2, 8), seed=st.integers(0, 2**40), data=st.data())
 def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) -> None:
     """Samples in the box in one call a generation, the same twice, the best a running minimum."""

@@ -305,7 +305,7 @@ def test_inertias_that_are_just_possible(rows: tuple[tuple[float, float], ...]) 
     assert_attained(p)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     low=st.lists(st.floats(0.0, 0.4), min_size=3, max_size=3),
     span=st.lists(st.floats(0.02, 0.3), min_size=3, max_size=3),

@@ -45,7 +45,7 @@ def assert_as_lapack(inertia: torch.Tensor) -> None:
     assert float(((largest - expected[..., 2]).abs() / size).max()) < NEAR
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     values=st.lists(st.floats(-10, 10), min_size=3, max_size=3),
     seed=st.integers(0, 2**31),
@@ -58,7 +58,7 @@ def test_eigenvalues_of_any_tensor(values: list[float], seed: int, exponent: int
     assert_as_lapack(six((tensor + tensor.T) / 2))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     first=st.floats(0.1, 10),
     gap=st.floats(-16, -1),

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 from cma.transformations import BoxConstraintsLinQuadTransformation
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.extraction.problems import ENGINES, begin, sphere
@@ -36,7 +36,6 @@ def test_weights_and_rates_are_those_of_pycma(n: int, factor: int) -> None:
     np.testing.assert_allclose(ours.weights, peer.sp.weights.asarray, rtol=0.02, atol=1e-12)
 
 
-@settings(deadline=None)
 @given(x=st.lists(st.floats(-30, 30), min_size=1, max_size=8))
 def test_box_is_pycmas(x: list[float]) -> None:
     peer = BoxConstraintsLinQuadTransformation([[0.0, 1.0]])
@@ -45,7 +44,6 @@ def test_box_is_pycmas(x: list[float]) -> None:
     np.testing.assert_allclose(got, peer.transform(list(x)), atol=1e-13)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8), st.integers(-5, 5))
 def test_box_and_back(x: list[float], periods: int) -> None:
     point = torch.tensor(x, dtype=torch.float64)

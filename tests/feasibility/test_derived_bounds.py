@@ -31,7 +31,7 @@ def shapes_of(boxes):
     return LinkShapes(boxes, volumes, tuple("collision" if k else None for k in known))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6), st.lists(st.floats(0.01, 2), min_size=3, max_size=3))
 def test_no_cloud_of_points_in_a_box_breaks_the_inertia_bounds(seed, sides):
     g = torch.Generator().manual_seed(seed)

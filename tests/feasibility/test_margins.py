@@ -116,7 +116,7 @@ def test_c7z_of_table_3_4_is_outside_the_printed_boxes() -> None:
 # ---- properties -----------------------------------------------------------------------------
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**31), n=st.integers(1, 7))
 def test_signs_of_margins_are_the_label(seed: int, n: int) -> None:
     g = torch.Generator().manual_seed(seed)
@@ -144,7 +144,7 @@ def test_signs_of_margins_are_the_label(seed: int, n: int) -> None:
     assert torch.equal(found.degree.sign(), smallest.sign())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31))
 def test_margins_agree_with_the_pseudo_inertia(seed: int) -> None:
     """Positive mass and positive second moments, exactly when the pseudo-inertia is positive
@@ -165,7 +165,7 @@ def test_random_parameters_are_of_both_kinds() -> None:
     assert 0.02 < float(violated[EIGENVALUE]) < 0.98
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31))
 def test_triangle_is_the_stronger_condition(seed: int) -> None:
     """The smallest eigenvalue of a tensor is the sum of its two smallest second moments, so it is
@@ -177,7 +177,7 @@ def test_triangle_is_the_stronger_condition(seed: int) -> None:
     assert not bool((violated[..., EIGENVALUE] & ~violated[..., TRIANGLE]).any())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31), scale=st.floats(1e-3, 1e3))
 def test_degrees_do_not_depend_on_the_unit_of_mass(seed: int, scale: float) -> None:
     parameters = random_parameters(seed, 20, 4)
@@ -190,7 +190,7 @@ def test_degrees_do_not_depend_on_the_unit_of_mass(seed: int, scale: float) -> N
     assert torch.equal(other.violated, one.violated)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31), length=st.floats(0.1, 10.0))
 def test_degrees_do_not_depend_on_the_unit_of_length(seed: int, length: float) -> None:
     parameters = random_parameters(seed, 20, 4)
@@ -204,7 +204,7 @@ def test_degrees_do_not_depend_on_the_unit_of_length(seed: int, length: float) -
     torch.testing.assert_close(other.degrees, one.degrees, rtol=1e-8, atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**31), angles=st.lists(st.floats(-3, 3), min_size=3, max_size=3))
 def test_inertia_margins_do_not_depend_on_the_frame(seed: int, angles: list[float]) -> None:
     """Turned and moved axes: the same body."""

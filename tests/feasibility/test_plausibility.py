@@ -70,7 +70,7 @@ def test_the_papers_arms_have_no_findings(name):
     assert plausibility(robot, sets) == ((),)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.floats(0.01, 1), min_size=3, max_size=3), st.floats(10, 20000))
 def test_a_uniform_ellipsoid_is_found_back(semi_axes, density):
     semi = torch.tensor(semi_axes, dtype=torch.float64)

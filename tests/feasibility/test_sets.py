@@ -85,9 +85,7 @@ def test_file_is_lossless(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(NUMBERS, min_size=30, max_size=30), NUMBERS)
 def test_any_finite_numbers_survive_the_file(tmp_path: Path, pi: list[float], fv: float) -> None:
     numbers = torch.tensor(pi, dtype=torch.float64).reshape(1, 3, 10)

@@ -1,5 +1,6 @@
 """Factors say the same as all rows, in any order and however they are put together."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -134,6 +135,15 @@ def test_fewer_blocks_hold_the_same_rows(model, reduced) -> None:
     assert torch.equal(few.rows.sum(0), factors.rows.sum(0))
     a, b = solved(few, model.layout).x, solved(factors, model.layout).x
     assert torch.allclose(a, b, rtol=1e-9)
+
+
+def test_kept_factors_have_the_same_bits_in_half_the_room(reduced) -> None:
+    factors = reduced[0].factors
+    kept = pickle.dumps(factors)
+    again = pickle.loads(kept)
+    assert len(kept) < 0.7 * 8 * sum(r.numel() for r in factors.blocks)
+    assert torch.equal(again.rows, factors.rows)
+    assert all(map(torch.equal, again.blocks, factors.blocks))
 
 
 def test_a_joint_at_rest_is_left_out_and_said(model, logs) -> None:

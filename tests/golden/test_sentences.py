@@ -120,11 +120,21 @@ def test_what_the_file_has_stands_before_what_the_arm_has(was, is_now, said) -> 
     assert remedy_of([cause]) == "Set the joint's damping to 15 N m s/rad in the simulator."
 
 
-def test_a_stiffness_that_no_file_takes_is_no_field() -> None:
-    spring = Cause(
-        effect="joint_spring", joints=(0,), parameters={"k": -1.0, "c0": 0.1},
-        std={"k": 0.2, "c0": 0.1}, unit={"k": "N m/rad", "c0": "N m"},
+def spring(joint: int, k: float, share: float) -> Cause:
+    return Cause(
+        effect="joint_spring", joints=(joint,), parameters={"k": k, "c0": 0.1},
+        std={"k": 0.2, "c0": 0.1}, unit={"k": "N m/rad", "c0": "N m"}, share=share, how_sure=0.99,
         remedy=KINDS["joint_spring"].remedy,
     )  # fmt: skip
-    assert "-1" not in remedy_of([spring])
-    assert "no field" in remedy_of([spring])
+
+
+def test_a_stiffness_that_no_file_takes_is_no_field() -> None:
+    assert "-1" not in remedy_of([spring(0, -1.0, 0.5)])
+    assert "no field" in remedy_of([spring(0, -1.0, 0.5)])
+
+
+def test_a_small_spring_without_a_field_takes_none_from_a_large_one() -> None:
+    answer = some_answer(causes=(spring(0, -1.0, 0.01), spring(1, 18.0, 0.8)))
+    (first,) = [step for step in first_steps(answer) if "spring" in step]
+    assert "joint 2 (80 %" in first
+    assert "to 18 N m/rad" in first

@@ -155,7 +155,7 @@ def test_factors_on_top_of_each_other() -> None:
     assert relative(r, householder(a)) < 1e-13
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**31),
     rows=st.integers(1, 200),

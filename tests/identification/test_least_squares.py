@@ -227,7 +227,7 @@ def bounded_problems(draw):
 
 
 @given(bounded_problems())
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=120, derandomize=True)
 def test_solutions_satisfy_the_karush_kuhn_tucker_conditions(problem):
     r, non_negative, held = problem
     x, bounded = solve(r, non_negative, held)

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from torchid.design.in_parts import WIDE
 from torchid.design.motion import (
-    MOVING,
     Measurement,
     direction,
     fast_speed,
@@ -19,6 +18,7 @@ from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
+from torchid.log.movement import RESTING
 from torchid.robot.library import load_robot
 
 ROBOT = load_robot("3r")
@@ -50,7 +50,7 @@ speeds = st.lists(st.sampled_from([-2.0, -0.5, -0.1, -0.0, 0.0, 0.1, 0.5, 2.0]),
 
 
 @given(st.tuples(speeds, speeds), st.sampled_from([0.0, 0.1, 0.3, 1.0, 5.0]))
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150, derandomize=True)
 def test_direction_is_that_of_a_slow_loop(pair, threshold):
     samples = min(map(len, pair))
     columns = [column[:samples] for column in pair]
@@ -70,7 +70,7 @@ def test_motion_is_the_filtered_derivative():
     assert found.edge == 25
     assert found.rate == pytest.approx(RATE)
     assert torch.equal(found.tau, LOG.tau)
-    assert torch.equal(moves(found.whole), found.motion.dq.abs() > MOVING)
+    assert torch.equal(moves(found.whole), found.motion.dq.abs() > RESTING)
 
 
 def test_rounding_at_rest_has_no_direction():

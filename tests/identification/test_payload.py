@@ -156,7 +156,7 @@ def noiseless_change(robot: Robot, payload: torch.Tensor):
 
 
 @pytest.mark.slow
-@examples(max_examples=25, deadline=None)
+@examples(max_examples=25)
 @given(
     name=some.sampled_from(["3r", "kuka_lwr4", "panda", "ur10e", "mixed"]),
     seed=some.integers(0, 999),

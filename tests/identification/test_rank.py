@@ -44,7 +44,7 @@ def planted(draw) -> tuple[torch.Tensor, list[bool]]:
 
 @pytest.mark.slow
 @given(planted())
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150, derandomize=True)
 def test_planted_dependent_columns_are_found(case):
     matrix, truth = case
     mask, distance = independent_columns(matrix, TOLERANCE)
@@ -57,7 +57,7 @@ def test_planted_dependent_columns_are_found(case):
 
 
 @given(planted(), st.integers(0, 1000))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 def test_rows_may_be_turned_and_repeated(case, seed):
     matrix, truth = case
     turn = torch.linalg.qr(random_matrix(len(matrix), len(matrix), seed)).Q

@@ -158,6 +158,7 @@ def test_normal_equations_are_those_of_the_rows(covariance, moving_only, method,
         torch.stack([(columns * whole)[k].T @ columns[k] for k in mine]),
         torch.stack([columns[k].T @ pull[k] for k in mine]),
         variance=float(pull @ residual) / (len(residual) - columns.shape[1]),
+        power=1.0,
     )
     assert dense.blocks == uncertainty.blocks
     assert torch.allclose(uncertainty.covariance, dense.covariance, rtol=1e-6, atol=1e-12)

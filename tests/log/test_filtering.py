@@ -87,7 +87,7 @@ def test_gains_at_zero_the_cutoff_and_beyond():
     samples=st.integers(1, 600),
     extra=st.integers(0, 40),
 )
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 def test_decimated_is_filtered_then_sliced(rate, ratio, step_share, start, samples, extra):
     low_pass = ZeroPhaseFilter(rate, rate / ratio)
     step = 1 + round(step_share * (low_pass.largest_step - 1))
@@ -143,7 +143,7 @@ def test_reflection_is_odd_and_goes_on_by_the_last_value_of_short_signals():
 
 
 @given(samples=st.integers(5, 60), rate=st.floats(1.0, 1000.0), seed=st.integers(0, 99))
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, derandomize=True)
 def test_central_difference_is_exact_on_quartics(samples, rate, seed):
     """Five points: exact up to degree 4 inside; three points, degree 2, next to the ends."""
     t = torch.arange(samples, dtype=torch.float64) / samples
@@ -156,7 +156,7 @@ def test_central_difference_is_exact_on_quartics(samples, rate, seed):
 
 
 @given(samples=st.integers(2, 60), rate=st.floats(1.0, 1000.0), seed=st.integers(0, 99))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20, derandomize=True)
 def test_central_difference_at_the_ends_is_numpys_gradient(samples, rate, seed):
     x = noise(2, samples, seed=seed)
     expected = torch.from_numpy(np.gradient(x.numpy(), 1 / rate, axis=-1))
@@ -175,7 +175,7 @@ def test_central_difference_of_a_fast_sine():
 
 
 @given(a=st.floats(-3, 3), b=st.floats(-3, 3), seed=st.integers(0, 99))
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=20, derandomize=True)
 def test_it_is_linear_and_the_same_backwards(a, b, seed):
     low_pass = ZeroPhaseFilter(100.0, 4.0)
     x, y = noise(700, seed=seed), noise(700, seed=seed + 1)

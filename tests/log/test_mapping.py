@@ -117,9 +117,7 @@ def test_units_as_people_write_them(kind: str, unit: str, factor: float | None) 
     assert unit_factor(kind, unit) == pytest.approx(factor)
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_mapping_reads_back_the_same_log(tmp_path: Path, data: st.DataObject) -> None:
     """Other names, in another order of columns, in other units, in any format."""

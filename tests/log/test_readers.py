@@ -42,9 +42,7 @@ def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 finite = st.floats(-1e20, 1e20, width=64)
 
 
-@settings(
-    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), samples=st.integers(2, 5), n=st.integers(1, 12), runs=st.integers(1, 3))
 def test_round_trip_is_exact(
     path: Path, data: st.DataObject, samples: int, n: int, runs: int

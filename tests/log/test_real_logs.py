@@ -14,7 +14,6 @@ from tests.real_logs import FOLDER, NO_LOGS, SOUND
 from torchid.errors import LogError
 from torchid.log.checks import check_log
 from torchid.log.readers import read_log
-from torchid.log.sampling import resample
 from torchid.robot.library import load_robot
 
 JOINTS = {
@@ -56,7 +55,7 @@ def test_real_log(path: Path) -> None:
         return
     warnings = check_log(log, n=n, robot_name=arm, prismatic=slides)
     assert warnings == ()
-    result = resample(log)
+    result = log.even
     assert is_uniform(result)
     assert result.trajectory_count == log.trajectory_count == 1
     assert result.duration == pytest.approx(log.duration, abs=1.01 / result.rates[0])

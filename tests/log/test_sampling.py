@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import at_rate, resample, time_steps
+from torchid.log.sampling import at_rate
 from torchid.log.stamps import rates_of
 
 from .examples import is_uniform, log_at, motion, same, snapshot, uniform
@@ -31,7 +31,7 @@ def errors(log: Log) -> dict[str, float]:
 
 def test_uniform_log_is_returned_as_it_was() -> None:
     log = uniform()
-    result = resample(log)
+    result = log.even
     assert same(result, snapshot(log))
     assert result.warnings == ()
     assert is_uniform(log)
@@ -41,7 +41,7 @@ def test_uniform_log_is_returned_as_it_was() -> None:
 def test_tiny_jitter_moves_only_the_stamps() -> None:
     t = 0.01 * np.arange(2000) + 4e-6 * np.random.default_rng(0).uniform(-1, 1, 2000)
     log = log_at(t)
-    result = resample(log)
+    result = log.even
     assert is_uniform(log)
     assert torch.equal(result.q, log.q)
     assert torch.equal(result.tau, log.tau)
@@ -54,7 +54,7 @@ def test_tiny_jitter_moves_only_the_stamps() -> None:
 def test_jitter(seed: int) -> None:
     log = log_at(stamps(seed), warnings=("kept",))
     before = snapshot(log)
-    result = resample(log)
+    result = log.even
     assert same(log, before)
     assert not is_uniform(log)
     assert is_uniform(result)
@@ -71,7 +71,7 @@ def test_jitter(seed: int) -> None:
 
 def test_alternating_steps_as_on_a_ur10e() -> None:
     t = np.concatenate([[0.0], np.cumsum(np.tile([0.010, 0.012, 0.010], 1000))])
-    result = resample(log_at(t))
+    result = log_at(t).even
     assert result.rates == (pytest.approx(100.0),)
     assert errors(result)["q"] < 1e-7
     assert result.duration[0] == pytest.approx(t[-1], abs=0.01)
@@ -79,7 +79,7 @@ def test_alternating_steps_as_on_a_ur10e() -> None:
 
 def test_dropped_packets() -> None:
     t = drop(0.01 * np.arange(2001), (300, 1), (800, 4), (1500, 8))
-    result = resample(log_at(t))
+    result = log_at(t).even
     assert result.samples == 2001
     assert result.trajectory_count == 1
     assert errors(result)["q"] < 2e-3
@@ -90,14 +90,14 @@ def test_dropped_packets() -> None:
 def test_torque_never_overshoots() -> None:
     log = log_at(drop(stamps(3), (800, 4), (1500, 8)))
     step = torch.sign(log.dq)
-    result = resample(log.replace(tau=step))
+    result = log.replace(tau=step).even
     assert result.tau.abs().max() <= 1.0
 
 
 @pytest.mark.parametrize("count", [25, 200])
 def test_long_gap_splits(count: int) -> None:
     t = drop(0.01 * np.arange(2001), (500, count))
-    result = resample(log_at(t))
+    result = log_at(t).even
     assert result.names == ("example[part 1]", "example[part 2]")
     assert result.samples == 2001 - count
     assert is_uniform(result)
@@ -109,18 +109,18 @@ def test_long_gap_splits(count: int) -> None:
 
 def test_fast_log_splits_at_twenty_steps() -> None:
     t = drop(0.001 * np.arange(4001), (2000, 25))
-    assert resample(log_at(t)).trajectory_count == 2
-    assert resample(log_at(drop(0.001 * np.arange(4001), (2000, 15)))).trajectory_count == 1
+    assert log_at(t).even.trajectory_count == 2
+    assert log_at(drop(0.001 * np.arange(4001), (2000, 15))).even.trajectory_count == 1
 
 
 def test_slow_log_does_not_split_at_every_sample() -> None:
     t = 0.3 * np.arange(100) + 0.05 * np.random.default_rng(0).uniform(size=100)
-    assert resample(log_at(t)).trajectory_count == 1
+    assert log_at(t).even.trajectory_count == 1
 
 
 def test_short_pieces_are_dropped() -> None:
     t = drop(0.01 * np.arange(2001), (500, 50), (600, 50))
-    result = resample(log_at(t))
+    result = log_at(t).even
     assert result.trajectory_count == 2
     assert (
         "split there into 3 pieces, of which 1 shorter than 1 s were dropped" in result.warnings[0]
@@ -130,12 +130,12 @@ def test_short_pieces_are_dropped() -> None:
 def test_nothing_left() -> None:
     t = np.concatenate([k + 0.01 * np.arange(20) for k in range(10)])
     with pytest.raises(LogError, match="no piece of 1 s"):
-        resample(log_at(t))
+        _ = log_at(t).even
 
 
 def test_one_step_for_trajectories_that_agree() -> None:
     log = Log.concatenate([uniform(step=0.01), uniform(step=0.01005), uniform(step=0.01)])
-    result = resample(log)
+    result = log.even
     assert result.rates == pytest.approx([100.0] * 3)
     assert errors(result)["q"] < 1e-6
     assert len(result.warnings) == 1
@@ -145,14 +145,14 @@ def test_stamps_far_from_zero_have_one_rate() -> None:
     parts = [
         log_at(start + 0.001 * np.arange(4001 + k)) for k, start in enumerate((843.513, 1.7e9))
     ]
-    rates = resample(Log.concatenate(parts)).rates
+    rates = Log.concatenate(parts).even.rates
     assert rates[0] == rates[1]
     assert rates[0] == pytest.approx(1000.0, rel=1e-6)
 
 
 def test_a_step_each_for_those_that_do_not() -> None:
     log = Log.concatenate([uniform(step=0.01), uniform(step=0.02), log_at(stamps(0))])
-    result = resample(log)
+    result = log.even
     assert result.rates[:2] == pytest.approx([100.0, 50.0])
     assert torch.equal(result.q[:1002], log.q[:1002])
     assert result.trajectory_count == 3
@@ -160,7 +160,7 @@ def test_a_step_each_for_those_that_do_not() -> None:
 
 def test_rates_on_either_side_of_one_percent_become_one() -> None:
     log = Log.concatenate([uniform(step=1 / rate) for rate in (165.5, 166.7, 168.4)])
-    even = resample(log)
+    even = log.even
     result = at_rate(even, min(even.rates))
     assert len(set(result.rates)) == 1
     assert result.rates[0] == pytest.approx(165.5)
@@ -171,24 +171,24 @@ def test_rates_on_either_side_of_one_percent_become_one() -> None:
 def test_trajectories_are_not_interpolated_across() -> None:
     later = uniform(t=5.01 + 0.01 * torch.arange(501.0, dtype=torch.float64))
     log = Log.concatenate([log_at(stamps(1, 500)), later])
-    result = resample(log)
+    result = log.even
     assert torch.equal(result.trajectories()[1].q, later.q)
 
 
 def test_only_positions() -> None:
     log = log_at(stamps(0), dq=None, ddq=None, tau=None, current=None)
-    assert list(resample(log).signals) == ["q"]
+    assert list(log.even.signals) == ["q"]
 
 
 def test_nan_stays_where_it_is() -> None:
     log = log_at(stamps(0))
     q = log.q.clone()
     q[1000, 0] = math.nan
-    result = resample(log.replace(q=q))
+    result = log.replace(q=q).even
     assert 1 <= int(result.q.isnan().sum()) <= 3
 
 
-@pytest.mark.parametrize("function", [resample, rates_of, time_steps])
+@pytest.mark.parametrize("function", [lambda log: log.even, rates_of, lambda log: log.steps])
 def test_time_must_increase(function: object) -> None:
     t = uniform().t.clone()
     t[10] = t[9]
@@ -205,12 +205,12 @@ def test_time_must_increase(function: object) -> None:
 
 
 def test_time_steps() -> None:
-    (steps,) = time_steps(log_at(drop(0.01 * np.arange(501), (100, 5))))
+    (steps,) = log_at(drop(0.01 * np.arange(501), (100, 5))).steps
     assert (steps.shortest, steps.median, steps.longest) == pytest.approx((0.01, 0.01, 0.06))
     assert str(steps).endswith("1 gap of more than 3 steps")
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     seed=st.integers(0, 1000),
     start=st.sampled_from([0.0, -3.0, 1.7e9]),
@@ -220,11 +220,11 @@ def test_grid_covers_the_log_and_resampling_twice_changes_nothing(
     seed: int, start: float, low: float
 ) -> None:
     t = start + stamps(seed, 400, low, 2.0 - low)
-    result = resample(log_at(t))
+    result = log_at(t).even
     step = 1.0 / result.rates[0]
     assert result.t[0] == t[0]
     assert t[-1] - step * 1.001 < result.t[-1] <= t[-1] + 1e-4 * step
-    again = resample(result)
+    again = result.even
     assert torch.equal(again.q, result.q)
     assert torch.allclose(again.t, result.t, rtol=0, atol=1e-6)
 
@@ -232,6 +232,6 @@ def test_grid_covers_the_log_and_resampling_twice_changes_nothing(
 def test_parts_of_one_uneven_trajectory_have_one_step() -> None:
     """Slow before a gap and fast after it: one rate, for it was one log."""
     t = np.r_[np.arange(0, 10, 0.02), np.arange(11, 21, 0.01)]
-    even = resample(log_at(t))
+    even = log_at(t).even
     assert len(even.names) == 2
     assert len(set(even.rates)) == 1

@@ -11,6 +11,8 @@ import torch
 
 import torchid
 from tests.marks import some
+from tests.position.planted import planted, robot, true_servos
+from torchid.effects.servo import INDEX
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.pair.align import aligned_trajectories
@@ -114,7 +116,9 @@ def test_an_arm_that_never_moves_ends_in_an_error():
 @pytest.mark.nightly
 def test_the_weaker_gain_and_the_friction_of_the_real_servo_are_named():
     found = weaker()
-    assert found.which == ()
+    which = {(one.effect, one.more, one.only) for one in found.which}
+    assert which == {("proportional_gain", "simulator", False), ("coulomb_friction", "arm", False)}
+    assert all(one.how_sure > 0.9 for one in found.which)
     by_name = {s.parameter: s for s in found.servos}
     for name, simulated, real in (("kp", 17.0, 8.1), ("coulomb", 0.05, 0.2)):
         one = by_name[name]
@@ -144,8 +148,74 @@ def test_the_servos_are_in_the_json(tmp_path: Path):
 def test_equal_servos_do_not_differ():
     found = compare_pair(driven(MOVING), driven(MOVING, seed=1), pendulum())
     assert found.servos
+    assert found.which == ()
     assert not [s.parameter for s in found.servos if s.differs]
     assert "agree" in verdict(found)
+    # What has no name is no agreement.
+    other = replace(found, of_arm=weaker().of_arm)
+    assert "no cause of that is sure" in verdict(other)
+
+
+@pytest.mark.nightly
+def test_what_both_servos_have_is_no_difference():
+    """A dead zone of both, and a gain that is new beside it."""
+    both = [driven(MOVING, seed=k, dead_zone=0.03, kp=kp) for k, kp in enumerate((17.0, 8.1))]
+    found = compare_pair(*both, pendulum())
+    assert [one.effect for one in found.which] == ["proportional_gain"]
+    assert "dead_zone" in {c.effect for c in found.record.both}
+    (zone,) = (s for s in found.servos if s.parameter == "dead_zone")
+    assert not zone.differs
+
+
+@pytest.mark.nightly
+def test_what_only_the_simulated_servo_has_is_gone_on_the_arm():
+    found = compare_pair(driven(MOVING, clip=2.5), driven(MOVING, seed=1), pendulum())
+    assert [(o.effect, o.more, o.only) for o in found.which] == [("saturation", "simulator", True)]
+    assert "no torque limit (2." in verdict(found)
+
+
+@cache
+def moved(mass: float = 0.0, **factors: float) -> Log:
+    """What an arm does whose gains are other by a factor on the last two joints, with a load."""
+    arm, servos = robot(), true_servos(3)
+    for name, factor in factors.items():
+        servos.joint[1:, INDEX[name]] *= factor
+    heavy = arm.with_payload(mass, (0.1, 0.0, 0.0)) if mass else arm
+    return planted(servos, motions=4, seconds=12.0, robot=heavy)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mass", "factors", "names"),
+    [
+        (1.5, {}, {"payload"}),
+        (0.0, {"kp": 0.7}, {"proportional_gain"}),
+        (0.0, {"kp": 0.75, "damping": 0.75}, {"proportional_gain", "viscous_friction"}),
+    ],
+)
+def test_a_load_and_weaker_servos_are_told_apart(mass, factors, names):
+    found = compare_pair(moved(), moved(mass, **factors), robot())
+    named = {one.effect for one in found.which}
+    assert named >= names
+    assert ("payload" in named) == bool(mass)
+    if mass:
+        (load,) = found.which
+        assert load.parameters["mass"] == pytest.approx(mass, rel=0.1)
+
+
+@pytest.mark.nightly
+def test_the_rate_of_a_log_is_no_delay():
+    """A command that is held is later where rows are farther apart: of a log of 50 Hz beside one of
+    100 Hz, whose rows are twice each."""
+    slow = driven(MOVING)
+    parts = []
+    for part in driven(MOVING, seed=1).trajectories():
+        t = torch.arange(2 * part.samples - 1) / (2 * RATE)
+        rows = torch.arange(len(t)) // 2
+        q = 0.5 * (part.q[rows] + part.q[(torch.arange(len(t)) + 1) // 2])
+        parts.append(Log(t.double(), q=q, u=part.u[rows]))
+    found = compare_pair(slow, Log.concatenate(parts), pendulum())
+    assert "delay" not in {s.parameter for s in found.servos if s.differs}
 
 
 @pytest.mark.nightly

@@ -50,6 +50,8 @@ def true_servos(n: int, **extra: tuple[int, float]) -> Servos:
     servos = Servos.neutral(
         n, kp=260.0, damping=22.0, armature=0.8, delay=0.02, coulomb=1.5, offset=0.5
     )
+    # The first turns about the vertical, where any constant torque is a cause.
+    servos.joint[0, INDEX["offset"]] = 0.0
     for name, (joint, value) in extra.items():
         servos.joint[joint - 1, INDEX[name]] = value
     return servos

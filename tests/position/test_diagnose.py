@@ -8,11 +8,12 @@ import torch
 from tests.marks import some
 from tests.position.diagnosed import diagnosis, finding
 from tests.position.planted import COUNT, planted, robot, true_servos
-from torchid.effects.servo import INDEX
+from torchid.effects.servo import INDEX, TORQUES
+from torchid.position.answered import needed_effects
 from torchid.position.data import prepare
 from torchid.position.diagnose import diagnose_positions
-from torchid.position.effects import BY_NAME
-from torchid.position.problem import some_of, with_motions
+from torchid.position.effects import BY_NAME, CORE
+from torchid.position.problem import pose, some_of, with_motions
 from torchid.position.record import Accuracy
 from torchid.position.replay import replay
 from torchid.position.servo_model import ServoModel
@@ -38,13 +39,9 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     servos = true_servos(3, **extra)
     log = planted(servos, motions=6, seconds=16.0, seed=4)
     result = diagnose_positions(robot(), log, held_out=next(iter(log.trajectories())))
-    named = {
-        (f.effect, f.joint)
-        for f in result.findings
-        if f.effect not in ("command_delay", "torque_offset")
-    }
+    named = {(f.effect, f.joint) for f in result.findings}
     if cause is None:
-        assert named == set()  # the delay and the offset of these servos are true
+        assert named == set()  # the delay and the offset of these servos are usual
     else:
         joint = next(iter(extra.values()))[0]
         assert (cause, joint) in named
@@ -173,11 +170,44 @@ def test_an_answer_says_whether_what_it_names_is_all():
     assert found.record.how_far.answered.whole_mrad == 5.0
 
 
-def test_a_delay_of_less_than_a_sample_is_no_cause():
+@pytest.mark.parametrize(
+    ("effect", "name", "size", "most", "left"),
+    [
+        ("command_delay", "delay", 0.05, 0.03, (0.02, 0.03, 0.02)),
+        ("torque_offset", "offset", -4.0, 3.0, (0.0, -3.0, 0.5)),
+    ],
+)
+def test_what_is_usual_is_no_cause(effect, name, size, most, left):
     every = torch.ones(3, dtype=torch.bool)
-    model = ServoModel(true_servos(3, delay=(2, 0.05)), {"delay": every})
-    less = model.without(BY_NAME["command_delay"], every, 0.03)
-    assert less.servos.of("delay").tolist() == pytest.approx([0.02, 0.03, 0.02])
+    model = ServoModel(true_servos(3, **{name: (2, size)}), {name: every})
+    usual = {name: most * every}
+    assert model.beyond(BY_NAME[effect], usual).tolist() == [False, True, False]
+    less = model.without(BY_NAME[effect], every, usual)
+    assert less.servos.of(name).tolist() == pytest.approx(left)
+
+
+@pytest.mark.parametrize(("offset", "named"), [(1.0, set()), (12.0, {("torque_offset", 2)})])
+def test_an_offset_is_a_cause_beyond_what_masses_may_be_wrong_by(offset, named):
+    """The second joint carries the arm's weight, the first turns about the vertical."""
+    log = planted(true_servos(3, offset=(2, offset)), motions=3, seconds=8.0)
+    usual = prepare(robot(), log).usual["offset"].tolist()
+    assert usual[0] == pytest.approx(0.0, abs=1e-9)
+    assert 1.0 < usual[1] < 12.0
+    result = diagnose_positions(robot(), log)
+    assert {(f.effect, f.joint) for f in result.findings} == named
+    assert result.status == ("explained" if named else "no_gap")
+
+
+def test_a_limit_is_not_held_to_be_worth_what_another_joints_is():
+    """Without its limit the second joint moves otherwise, and shakes the third, whose own limit,
+    far above its torques, is worth nothing."""
+    servos, every = true_servos(3, clip=(2, 9.0)), torch.ones(3, dtype=torch.bool)
+    servos.joint[2, [INDEX[name] for name in TORQUES]] *= 0.05
+    problem = pose(robot(), planted(servos, motions=3, seconds=8.0))
+    servos.joint[2, INDEX["clip"]] = 1e4
+    free = dict.fromkeys(CORE, every) | {"clip": torch.tensor([False, True, True])}
+    _, worth, _ = needed_effects(problem.few, ServoModel(servos, free), problem.squares)
+    assert worth["saturation"][0].isfinite().any(0).tolist() == [False, True, False]
 
 
 @pytest.mark.nightly

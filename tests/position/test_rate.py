@@ -21,7 +21,7 @@ FINE, KNOTS = 1000, 25
 
 
 @cache
-def simulated(motions: int = 2, seconds: float = 6.0, kd: float = 0.0):
+def simulated(motions: int = 2, seconds: float = 6.0, kd: float = 0.0, offset: float = 0.0):
     """The same motion at any rate: a function of it [Hz]."""
     base = commands(3, motions, seconds, seed=4)
     each = len(base.u) // motions
@@ -36,6 +36,7 @@ def simulated(motions: int = 2, seconds: float = 6.0, kd: float = 0.0):
     tracks = Tracks(u, first, first + size - 1, 1 / FINE)
     servos = true_servos(3, kd=(2, kd))
     servos.of("delay")[:] = 0.06
+    servos.of("offset")[0] = offset  # of the joint that no load anchors
     start = u[first]
     q = replayed(robot(), servos, tracks, windows_of(tracks, None), start, torch.zeros_like(start))
     q = (q / COUNT).round() * COUNT
@@ -56,7 +57,7 @@ def test_what_is_known_is_known_at_every_rate():
     """Deviations at 25, 50, 200 and 500 Hz: of a fast log they are those at 50 Hz, of a slow one
     nearly so, for rows are as good as one as long as their errors are alike. Of a joint that no
     load anchors the scale of torques hardly shows, and hangs on when it sticks."""
-    log, std, alike = simulated(motions=6, seconds=8.0), {}, {}
+    log, std, alike = simulated(motions=6, seconds=8.0, offset=0.5), {}, {}
     for rate in (25, 50, 200, 500):
         data = prepare(robot(), log(rate))
         windows = windows_of(data.tracks, WINDOW_S)
@@ -66,7 +67,7 @@ def test_what_is_known_is_known_at_every_rate():
     anchored = std[50][:, list(found.free).index("kp")] < UNSURE_SCALE
     assert anchored.tolist() == [False, True, True]
     for rate in (200, 500):
-        assert torch.allclose(std[rate][anchored], std[50][anchored], rtol=0.15)
+        assert torch.allclose(std[rate][anchored], std[50][anchored], rtol=0.25)
     # 48 s of errors that are alike for a quarter of a second say so to a third (Sokal 1997).
     assert torch.allclose(alike[25], alike[50], rtol=0.3)
     assert float((std[25] / std[50]).median()) == pytest.approx(1.0, abs=0.15)

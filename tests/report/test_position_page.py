@@ -155,3 +155,12 @@ def test_what_is_shown_first_is_where_a_model_errs_most_while_the_joint_moves() 
     assert float(t[rows.stop - 1]) <= 62
     rests, _ = replace(run, moving=None).window(0)
     assert float(t[rests.start]) >= 58
+
+
+@pytest.mark.parametrize(("source", "called"), [("my arm.urdf", "'my arm.urdf'"), ("", "ROBOT")])
+def test_the_line_for_another_motion_names_the_robot_as_it_was_given(found, source, called):
+    data = replace(found.data, robot=replace(found.data.robot, source=source))
+    unsure = replace(found, data=data, closed_ci95=(-0.1, 0.4))
+    made = origin(arguments=[], started=0.0, seeds={}, settings={}, files=())
+    steps = dict(page(unsure, made).advice)["What to do first"]
+    assert any(f"`torchid excite {called} --for gap.json" in step for step in steps)

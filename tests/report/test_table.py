@@ -85,7 +85,7 @@ NUMBERS = st.floats(-1e6, 1e6, width=32).map("{:.6g}".format)
 WORDS = st.lists(st.text("abcdefgh", min_size=1, max_size=9), min_size=1, max_size=9).map(" ".join)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.data(), st.sampled_from([60, 80, 120]))
 def test_no_number_is_cut_and_no_column_of_words_vanishes(data, width):
     letters = "p" + data.draw(st.text("rp", min_size=2, max_size=9))

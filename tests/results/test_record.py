@@ -138,7 +138,7 @@ KEYS = ["robot", "base_values", "covariance", "flags", "entries", "model", "seed
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from(KEYS), JSON)
 def test_any_other_json_is_read_or_refused(key, value):
     """Whatever stands under a key, there is a record or an error of the layer, nothing else."""

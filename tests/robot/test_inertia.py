@@ -21,7 +21,7 @@ from torchid.robot.placement import pose, roll_pitch_yaw
 EXACT = 1e-12
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(1, 8)
-quick = settings(max_examples=40, deadline=None)
+quick = settings(max_examples=40)
 
 
 def random(seed: int, *shape: int) -> torch.Tensor:

@@ -26,7 +26,7 @@ def drawn(seed: int, rows: int = 40, names: tuple[str, ...] = NAMES, links: int 
 
 
 @given(st.integers(0, 10**6))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_sessions_one_by_one_are_all_at_once(seed: int) -> None:
     parts = [drawn(seed + k, rows=5) for k in range(6)]
     one_by_one = parts[0]

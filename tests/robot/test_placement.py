@@ -22,7 +22,7 @@ from torchid.robot.placement import (
 EXACT = 1e-12
 angles = st.floats(-10, 10)
 lengths = st.floats(-3, 3)
-quick = settings(max_examples=60, deadline=None)
+quick = settings(max_examples=60)
 
 
 def is_rotation(matrix: torch.Tensor) -> bool:

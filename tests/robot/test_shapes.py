@@ -95,7 +95,7 @@ angles = st.floats(-3, 3)
 sizes = st.floats(0.01, 2)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(angles, angles, angles, sizes, sizes)
 def test_boxes_of_turned_solids_touch_their_surfaces(roll, pitch, yaw, radius, length):
     turned = pose(roll_pitch_yaw([roll, pitch, yaw]), [0.1, -0.2, 0.3])

@@ -45,7 +45,7 @@ def test_damaged_files_end_in_one_error(tmp_path) -> None:
 
 @pytest.mark.nightly
 @settings(
-    max_examples=300, deadline=None, derandomize=True,
+    max_examples=300, derandomize=True,
     suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 @given(data=st.data())

@@ -10,7 +10,6 @@ from torchid.effects.base import Motion
 from torchid.effects.registry import model_torque, nominal_effects
 from torchid.errors import LogError, TorchidError
 from torchid.log.model import Log
-from torchid.log.sampling import time_steps
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import HonestNoise, Sensors, measured_log, sensed_log
 
@@ -81,7 +80,7 @@ def test_every_other_sample_is_kept(robot: Robot, true: Log) -> None:
 
 def test_jitter_moves_the_instants_and_the_stamps_say_so(robot: Robot, true: Log) -> None:
     seen = measured_log(robot, true, [], Sensors(EXACT, jitter=2e-4), seed=2)
-    (steps,) = time_steps(seen)
+    (steps,) = seen.steps
     assert steps.shortest < 1.8e-3 < 2.2e-3 < steps.longest
     # The motion 1 - cos in closed form, at the instants that the stamps name.
     period = torch.linspace(0.9, 1.7, 3, dtype=torch.float64)

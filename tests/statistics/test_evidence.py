@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from torchid.statistics.criteria import DOUBT, EXPECTED
@@ -24,7 +24,6 @@ def in_units(full: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return (full @ full.T)[None]
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 1000), count=st.integers(1, 6))
 def test_coefficients_far_from_their_slabs_middle_cost_what_lies_between(
     seed: int, count: int
@@ -46,7 +45,6 @@ def test_coefficients_far_from_their_slabs_middle_cost_what_lies_between(
     assert half == pytest.approx(same, abs=0.1)
 
 
-@settings(deadline=None)  # a busy machine solves slowly
 @given(seed=st.integers(0, 1000), count=st.integers(1, 6))
 def test_coefficients_are_those_of_the_posterior(seed: int, count: int) -> None:
     """Of known noise: the ridge solution, and what a slab costs, written out."""
@@ -68,7 +66,6 @@ def test_coefficients_are_those_of_the_posterior(seed: int, count: int) -> None:
     assert losses == floor
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.floats(-500, 500), min_size=1, max_size=5), st.integers(1, 20), st.integers(0, 99)
 )
@@ -102,7 +99,6 @@ def test_what_is_left_bounds_how_sure_a_cause_is(rest: float, whole: float) -> N
     assert most_sure(told, fall, left, whole) == pytest.approx(1 / (1 + DOUBT * share))
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 1000), known=st.integers(0, 2))
 def test_what_is_held_leaves_the_others_their_slab_beside_it(seed: int, known: int) -> None:
     """Conditional covariance, written out; of coefficients that are known exactly there is none."""

@@ -102,7 +102,7 @@ def test_dependent_columns_share_what_is_determined():
     assert float(found.std[-1]) == 0.0
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 50), powers=st.lists(st.integers(-12, 12), min_size=C, max_size=C))
 def test_units_scale_standard_deviations(seed, powers):
     columns, y, x = problem(seed)
@@ -113,7 +113,7 @@ def test_units_scale_standard_deviations(seed, powers):
     assert torch.allclose(found.freedom, plain.freedom, rtol=1e-9)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(order=st.permutations(range(BLOCKS)), seed=st.integers(0, 50))
 def test_the_order_of_blocks_does_not_matter(order, seed):
     columns, y, x = problem(seed)
@@ -125,7 +125,7 @@ def test_the_order_of_blocks_does_not_matter(order, seed):
         assert torch.allclose(found.covariance, plain.covariance, rtol=1e-8, atol=1e-15)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 50), copies=st.integers(2, 4))
 def test_repeated_rows_tell_nothing_new(seed, copies):
     columns, y, x = problem(seed)

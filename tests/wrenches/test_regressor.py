@@ -111,7 +111,7 @@ def test_base_force_is_mass_times_acceleration_of_the_whole_arm(robot: Robot) ->
     assert relative(in_base, expected) < 1e-7
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10**6), st.floats(-5, 5), st.floats(-5, 5))
 def test_linear_in_the_parameters(seed: int, a: float, b: float) -> None:
     robot = mixed_arm("RPRR", seed=seed % 7)
@@ -121,7 +121,7 @@ def test_linear_in_the_parameters(seed: int, a: float, b: float) -> None:
     assert torch.allclose(z, a * x + b * y, atol=1e-11 * float(x.abs().max() + y.abs().max()))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 10**6), st.sampled_from(["RRR", "RPR", "PRRP"]))
 def test_norms_do_not_depend_on_the_frames(seed: int, kinds: str) -> None:
     """The same bodies described in other link frames: other numbers, the same norms."""

@@ -36,11 +36,11 @@ def calibrate_command(
     """
     from torchid.report.withheld import report_of_calibration
 
-    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
-    require_torque(found, log)
+    robot, log, apart, _ = trials.open(output, settings.held_out_fraction)
+    require_torque(robot, log)
     with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
-            found, log, held_out=apart, settings=settings, force=force, progress=progress
+            robot, log, held_out=apart, settings=settings, force=force, progress=progress
         )
     output.say(result.answer.headline)
     checked = planted(result, log, causes, output)

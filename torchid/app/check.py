@@ -50,19 +50,19 @@ def check_command(
     from torchid.report.feasibility import findings_lines, report_of_check
 
     asked = asked_about(params, robot, part.choice)
-    found = asked.robot
+    examined = asked.robot
     total = None
     if total_mass is None:
-        total = read_total_mass(found)
+        total = read_total_mass(examined)
     elif total_mass != "none":
         total = opt.total_mass(total_mass)
     check = check_sets(
-        found,
+        examined,
         asked.sets,
         geometry=geometry,
         round_shapes=shapes,
         total_mass=total,
-        bounds=None if bounds is None else named_bounds(found, bounds),
+        bounds=None if bounds is None else named_bounds(examined, bounds),
         also=asked.findings,
         seed=seed,
     )

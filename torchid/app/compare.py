@@ -23,14 +23,15 @@ def compare_command(
     output: Annotated[Drawn, "compare.json"],
 ) -> None:
     """Which coefficients agree between results, which differ and by what spread, which are never
-    determined; how far apart the torques are.
+    determined; how far apart the torques are, or which servos go nearest to a log.
 
     Example: `torchid compare monday/identification.json tuesday/identification.json
     friday/identification.json --on test.parquet --out compared`
 
     Args:
         results: Two or more identification.json, gap.json or sets.json.
-        on: Compare torque along this log, in place of random motion. May be given several times.
+        on: Compare torque along this log, in place of random motion; of servos positions (with
+            --robot). May be given several times.
         robot: Where the results do not record it.
     """
     from torchid.fleet.compare import common_robot, compared, read_results
@@ -42,5 +43,5 @@ def compare_command(
         raise TorchidError("torque along a log needs the robot.", expected="--robot ROBOT")
     log = logs.read(on, arm) if on and arm is not None else None
     with output.progress("comparing"):
-        found = compared(read, arm, on=log, seed=seed)
-    output.give(found, "compare.json", report_of_comparison, seed=seed)
+        comparison = compared(read, arm, on=log, seed=seed)
+    output.give(comparison, "compare.json", report_of_comparison, seed=seed)

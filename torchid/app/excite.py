@@ -43,7 +43,7 @@ class _Controllers:
     urscript: opt.Written = None
 
     def check(self, robot: "torchid.Robot", count: int) -> None:
-        """That the files can hold what is asked for.
+        """Refuse what the asked files cannot hold.
 
         Raises:
             TorchidError: several motions, or a robot that no URScript program moves.
@@ -131,8 +131,8 @@ def excite_command(
 
     asking = None if motion.result is None else read_asking(motion.result)
     recorded = None if isinstance(asking, PositionRecord) or asking is None else asking.model
-    found = recorded if robot is None else opt.load(robot, part)
-    if found is None:
+    moved = recorded if robot is None else opt.load(robot, part)
+    if moved is None:
         raise TorchidError(
             f"'{motion.result}' does not record its robot.",
             expected=f"torchid excite ROBOT --for {motion.result}",
@@ -140,11 +140,11 @@ def excite_command(
     if isinstance(asking, PositionRecord):
         if files.ros2 or files.urscript or motion.speed != 1:
             raise TorchidError("commands of servos are written with --save, at full speed.")
-        arm = opt.with_limits(found, max_velocity, max_acceleration)
+        arm = opt.with_limits(moved, max_velocity, max_acceleration)
         _commands(asking, arm, motion, room, target, output)
         return
-    found.require_fixed_base("the design of motions")
-    arm = opt.with_limits(found, max_velocity, max_acceleration)
+    moved.require_fixed_base("the design of motions")
+    arm = opt.with_limits(moved, max_velocity, max_acceleration)
     files.check(arm, 3 if motion.kind == "paper" else motion.count)
     with output.progress() as progress:
         planned = plan(arm, motion, room, progress=progress)

@@ -96,22 +96,22 @@ def export_command(
         ranges = torchid.randomise(diagnosed, randomise, robot=given, draws=draws, seed=seed)
         files = [str(file) for file in ranges.write(folder, name)]
         data = {**ranges.plain(), "files": files}
-        told = exported.report_of_randomisation(ranges, files)
-        output.give(data, "randomisation.json", lambda _: told, seed=seed)
+        report = exported.report_of_randomisation(ranges, files)
+        output.give(data, "randomisation.json", lambda _: report, seed=seed)
         return
     assert to is not None
-    found = carried(result, robot, part.choice, chosen, geometry)
+    model = carried(result, robot, part.choice, chosen, geometry)
     keep = [Path(file) for file in (result, robot, *(log or ()), *(held_out or ())) if file]
     if log is None:
-        if found.diagnosed and to in get_args(Target):
+        if model.diagnosed and to in get_args(Target):
             raise TorchidError(
                 f"a diagnosis is refitted to what {to} can say, and needs its logs for that.",
                 hint="--log LOG (several times, with --gain or --columns as before); --to yaml "
                 "writes the corrected robot with all its effects",
             )
         done = torchid.export_dynamics(
-            found.dynamics, to, folder, name, nominal=found.nominal,
-            original=found.original, geometry=geometry, force=force, seed=seed, keep=keep,
+            model.dynamics, to, folder, name, nominal=model.nominal,
+            original=model.original, geometry=geometry, force=force, seed=seed, keep=keep,
             plain=plain,
         )  # fmt: skip
         output.give(done, f"export_{to}.json", exported.report_of_export, seed=seed)
@@ -120,11 +120,11 @@ def export_command(
         raise TorchidError(
             "only files of simulators are refitted to a log.", got=to, available=get_args(Target)
         )
-    read = reading.read(log, found.original)
-    apart = reading.read(held_out, found.original) if held_out else None
+    read = reading.read(log, model.original)
+    apart = reading.read(held_out, model.original) if held_out else None
     made = torchid.correct(
-        found.original, found.dynamics.arm or found.dynamics.robot, read, to, folder, name,
-        held_out=apart, settings=replace(found.settings, seed=seed), keep=keep, plain=plain,
+        model.original, model.dynamics.arm or model.dynamics.robot, read, to, folder, name,
+        held_out=apart, settings=replace(model.settings, seed=seed), keep=keep, plain=plain,
     )  # fmt: skip
     output.give(made, "correction.json", exported.report_of_correction)
 
@@ -165,17 +165,17 @@ def correct_command(
     """
     if name is not None:
         require_name(name)
-    found, log, apart, _ = trials.open(output, settings.held_out_fraction)
+    robot, log, apart, _ = trials.open(output, settings.held_out_fraction)
     from torchid.report.exported import report_of_correction
 
-    kind = file_for(to, found, log)
+    kind = file_for(to, robot, log)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
     with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
-            found, log, held_out=apart, settings=settings, force=force, progress=progress
+            robot, log, held_out=apart, settings=settings, force=force, progress=progress
         )
     done = torchid.correct(
-        found, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
+        robot, result, log, kind, output.out or Path(), name, held_out=apart, settings=settings,
         with_effects=beside, keep=trials.inputs, plain=plain or to in ("mjlab", "isaaclab"),
     )  # fmt: skip
     shown = output.keep(done, "correction.json", report_of_correction)

@@ -46,17 +46,17 @@ class Sought:
         from torchid.identification.values import nominal_base, read_base
 
         robot = arm.load()
-        found = nominal_base(robot) if self.result is None else read_base(self.result, robot)
+        base = nominal_base(robot) if self.result is None else read_base(self.result, robot)
         problem, notes = torchid.problem_of(
             robot,
-            found,
+            base,
             bounds=self.bounds,
             geometry=self.geometry,
             shapes=self.shapes,
             total_mass=self.total_mass,
             loss=loss,
         )
-        return problem, found, notes
+        return problem, base, notes
 
 
 @command
@@ -101,15 +101,15 @@ def extract_command(
     # Where nothing bounds the bodies but their links' size, a search would answer any of them.
     method = method or ("near" if problem.bounds.name in (WIDE, NONE) else "cma-es")
     with output.progress() as progress:
-        found = found_by(
+        extraction = found_by(
             method, problem, settings, certificate=certificate, search_anyway=search_anyway,
             device=device_name, workers=engine.crew, progress=progress,
         )  # fmt: skip
-    told = (*notes, *found.warnings, *loss_notes(found, values))
-    found = replace(found, warnings=told)
-    file = sets_record(found.sets, problem.robot, knowledge=problem.robot.knowledge)
+    warnings = (*notes, *extraction.warnings, *loss_notes(extraction, values))
+    extraction = replace(extraction, warnings=warnings)
+    file = sets_record(extraction.sets, problem.robot, knowledge=problem.robot.knowledge)
     output.put(output.out and output.out / "sets.json", file.save)
-    output.tell(output.keep(found, "extraction.json", report_of_extraction))
+    output.tell(output.keep(extraction, "extraction.json", report_of_extraction))
 
 
 @command
@@ -130,13 +130,13 @@ def atlas_command(
     from torchid.parallel.workers import stage
     from torchid.report.extraction import report_of_atlas
 
-    problem, found, notes = sought.problem(arm, "two-step")
-    if found.held:
-        held = ", ".join(found.held)
+    problem, base, notes = sought.problem(arm, "two-step")
+    if base.held:
+        held = ", ".join(base.held)
         notes = (*notes, f"held by the identification, and taken for exact here: {held}")
     with output.progress() as progress:
         ranges = torchid.atlas(
-            problem, covariance=found, level=level, progress=stage(progress, "ends")
+            problem, covariance=base, level=level, progress=stage(progress, "ends")
         )
     data = {**ranges.plain(), "warnings": list(notes)}
     output.give(data, "atlas.json", lambda _: report_of_atlas(ranges, problem, notes))

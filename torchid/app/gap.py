@@ -74,7 +74,8 @@ class _Asked:
     calibrate: Annotated[int | None, typer.Option(metavar="N", min=1)] = None
 
     def seconds(self, output: Output) -> float | None:
-        """That are left for the diagnosis, beside what is written afterwards [s]."""
+        """Seconds left for the diagnosis, less what files take to write afterwards; None without
+        `--time`."""
         if self.time is None:
             return None
         asked = True, output.out, output.pictures, output.report
@@ -119,9 +120,9 @@ def gap_command(
             raise typer.BadParameter(f"Missing argument '{name}'.")
     if asked.to is not None and output.out is None:
         raise TorchidError("--to writes a file, and needs --out DIR.")
-    found, log, apart, files = trials.open(output, settings.held_out_fraction)
+    robot, log, apart, files = trials.open(output, settings.held_out_fraction)
     if asked.calibrate is not None:
-        require_torque(found, log)
+        require_torque(robot, log)
     from torchid.report.brief import model_words
     from torchid.report.diagnosis import report_of_diagnosis
 
@@ -129,7 +130,7 @@ def gap_command(
         from torchid.report.view import require_viewer
 
         require_viewer(asked.view)
-    kind = None if asked.to is None else file_for(asked.to, found, log)
+    kind = None if asked.to is None else file_for(asked.to, robot, log)
     # The log is handed over where it is not needed again: a long one takes half of the memory.
     handed = [log]
     if kind is None and asked.calibrate is None:
@@ -140,9 +141,9 @@ def gap_command(
         trials.line_to_mend(),
     ):
         result = torchid.diagnose(
-            found, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
+            robot, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,
             force=asked.force, progress=progress, watch=watch,
-            rows=not asked.no_rows, before=asked.before and trials.read(asked.before, found),
+            rows=not asked.no_rows, before=asked.before and trials.read(asked.before, robot),
             time=asked.seconds(output),
         )  # fmt: skip
     model = None if asked.save_model is None else str(asked.save_model)
@@ -158,7 +159,7 @@ def gap_command(
     output.put(asked.save_model, partial(result.write_corrected, rows=not asked.no_rows))
     output.put(asked.view, partial(torchid.write_view, result))
     if kind is not None or asked.calibrate is not None:
-        to_print += _moved(trials, settings, asked, output, found, result, log, kind, apart)
+        to_print += _moved(trials, settings, asked, output, robot, result, log, kind, apart)
     for one in to_print:
         output.tell(one)
 

@@ -77,21 +77,21 @@ def identify_command(
             show a result that predicts its own log worse than no model does, too.
         error_cutoff: Report errors under this filter, not the fit's.
     """
-    found, log, apart, files = trials.open(output, settings.held_out_fraction)
+    robot, log, apart, files = trials.open(output, settings.held_out_fraction)
     from torchid.report.identification import report_of_identification
 
     with output.progress("checking the log") as progress:
-        doubts = trials.ask_first(found, [log, apart], trials.logs, settings.force)
+        doubts = trials.ask_first(robot, [log, apart], trials.logs, settings.force)
         result = torchid.identify(
-            found, log, held_out=apart, settings=settings, device=device_name, progress=progress
+            robot, log, held_out=apart, settings=settings, device=device_name, progress=progress
         )
     result = replace(result, warnings=(*doubts, *result.warnings))
-    told = result.plain()["settings"] | {"cut-off used [Hz]": result.cutoff}
+    used = result.plain()["settings"] | {"cut-off used [Hz]": result.cutoff}
     # Trajectories of an earlier run may have had other names.
     old = ["fit_*.png", "held_out_*.png"]
     output.give(
         result, "identification.json", report_of_identification, seed=seed, old=old, files=files,
-        settings=told,
+        settings=used,
     )  # fmt: skip
     file = output.json_file or (output.out and output.out / "identification.json")
     if file is not None and str(file) != "-":
@@ -131,16 +131,16 @@ def payload_command(
         cutoff: Cut-off of the zero-phase filter; `auto` chooses it on the logs without payload.
         force: Go on with a log that looks wrong (order or sign of joints, units, gravity, lag).
     """
-    found = arm.load()
-    empty = arm.read(arm.logs, found) if arm.logs else None
-    full, forced = arm.read(loaded, found), settings.force
+    robot = arm.load()
+    empty = arm.read(arm.logs, robot) if arm.logs else None
+    full, forced = arm.read(loaded, robot), settings.force
     from torchid.report.identification import report_of_payload
 
     with output.progress("checking the logs") as progress:
-        doubts = arm.ask_first(found, [empty], arm.logs, forced) if empty else ()
-        doubts += arm.ask_first(found, [full], loaded, forced, loaded=True)
+        doubts = arm.ask_first(robot, [empty], arm.logs, forced) if empty else ()
+        doubts += arm.ask_first(robot, [full], loaded, forced, loaded=True)
         carried = torchid.payload(
-            found, empty, full, model=model, settings=settings, device=device_name,
+            robot, empty, full, model=model, settings=settings, device=device_name,
             progress=progress,
         )  # fmt: skip
     carried = structs.replace(carried, warnings=(*doubts, *carried.warnings))

@@ -57,14 +57,16 @@ def _given(options: "Sequence[Option]", given: Mapping[str, Any]) -> "Iterator[t
 
 def inputs_of(options: "Sequence[Option]", given: Mapping[str, Any]) -> list[Path]:
     """Files and folders that a command is told to read; what is given as text only where it is the
-    name of a file."""
-    return [
-        Path(one)
-        for option, one in _given(options, given)
-        if WRITTEN not in option.said
-        and PLACE not in option.said
-        and (isinstance(one, Path) or (isinstance(one, str) and os.path.isfile(one)))
-    ]
+    name of a file. Of a folder of results the JSON files are read, and no page beside them."""
+    files: list[Path] = []
+    for option, one in _given(options, given):
+        if WRITTEN in option.said or PLACE in option.said:
+            continue
+        if isinstance(one, Path) and "RESULT" in (option.info.metavar or "") and one.is_dir():
+            files += one.rglob("*.json")
+        elif isinstance(one, Path) or (isinstance(one, str) and os.path.isfile(one)):
+            files.append(Path(one))
+    return files
 
 
 def require_apart(options: "Sequence[Option]", given: Mapping[str, Any]) -> None:
@@ -76,8 +78,8 @@ def require_apart(options: "Sequence[Option]", given: Mapping[str, Any]) -> None
     for option in [*results, *(o for o in named if PLACE in o.said)]:
         path = os.path.realpath(given[option.name])
         # Two places may be one folder.
-        found = taken.setdefault if option in results else taken.get
-        if (other := found(path, option.shown)) != option.shown:
+        other_of = taken.setdefault if option in results else taken.get
+        if (other := other_of(path, option.shown)) != option.shown:
             raise TorchidError(
                 f"{option.shown} and {other} name the same file.", got=given[option.name]
             )

@@ -40,13 +40,13 @@ def doctor_command(
     from torchid.doctor.flag import flag_for
     from torchid.report.doctor import report_of_examination
 
-    found = arm.load()
-    log = arm.read(arm.logs, found)
+    robot = arm.load()
+    log = arm.read(arm.logs, robot)
     with output.progress("examining the log"):
-        result = torchid.examine(found, log, fix or ())
+        result = torchid.examine(robot, log, fix or ())
     output.put(apply, lambda path: torchid.write_log(result.mended(), path))
     # The fixes as --columns, where the logs have columns of our names.
-    flag = None if arm.columns or arm.topic else flag_for(result.repairs, found.n, arm.logs)
+    flag = None if arm.columns or arm.topic else flag_for(result.repairs, robot.n, arm.logs)
     output.give(
         record(result, flag), "doctor.json", lambda _: report_of_examination(result), seed=seed
     )
@@ -87,28 +87,28 @@ def show_command(
             red, with the reason.
     """
     from torchid.design.repeats import repeated_motion
+    from torchid.inputs import with_drive_gain
     from torchid.log.overview import look_at, overview_record
     from torchid.report.log import report_of_log, signals_figure
     from torchid.report.panels import save as save_picture
     from torchid.robot.model import JointType
 
     checked: dict[str, Any] = {}
-    found = None if robot is None else opt.load(robot, part)
-    if found is not None:
+    model = None if robot is None else opt.load(robot, part)
+    if model is not None:
         checked = {
-            "robot_name": found.name,
-            "position_limits": found.limits.position,
-            "effort": found.limits.effort,
-            "prismatic": [kind is JointType.PRISMATIC for kind in found.joint_types],
-            "moving_base": found.floating,
+            "robot_name": model.name,
+            "position_limits": model.limits.position,
+            "effort": model.limits.effort,
+            "prismatic": [kind is JointType.PRISMATIC for kind in model.joint_types],
+            "moving_base": model.floating,
         }
-    request = reading.request(found)
+    request = reading.request(model)
     seen = look_at(logs, request, **checked)
     repeats = repeated_motion(seen.log) if seen.problem is None else ()
     record = overview_record(seen)
     log = reading.with_torque(seen.log, seen.log.n)
-    if log.tau is None and log.current is not None and found is not None:
-        log = log if found.drive_gain is None else log.with_torque(found.drive_gain)
+    log = log if model is None else with_drive_gain(log, model)
     output.write_json({**record, "repeats": [dict(vars(r)) for r in repeats]}, "log.json")
     output.put(save, partial(torchid.write_log, log))
     if plot is not None:

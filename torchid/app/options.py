@@ -76,13 +76,13 @@ def names(text: str) -> tuple[str, ...]:
 
 def effect_names(text: str) -> tuple[str, ...]:
     """Names of effects separated by commas; `none` for none."""
-    require_effects(found := names(text))
-    if not set(found) <= set(DEFAULT_EFFECTS):
+    require_effects(effects := names(text))
+    if not set(effects) <= set(DEFAULT_EFFECTS):
         from torchid.effects.registry import column_kind
 
-        for name in found:
+        for name in effects:
             column_kind(name)
-    return found
+    return effects
 
 
 def searched_effects(text: str) -> tuple[str, ...] | None:
@@ -93,13 +93,13 @@ def searched_effects(text: str) -> tuple[str, ...] | None:
     """
     if text.strip() == "all":
         return None
-    found = names(text)
-    if not found:
+    effects = names(text)
+    if not effects:
         raise TorchidError(
             "--effects leaves nothing to search over.", got=text, hint="`all` for the whole library"
         )
-    require_effects(found)
-    return found
+    require_effects(effects)
+    return effects
 
 
 def auto_hz(text: str, expected: str = "a frequency in Hz, or `auto`") -> float | Literal["auto"]:
@@ -365,17 +365,17 @@ class ArmAndLogs(Arm, Reading):
         try:
             yield
         except WrongLogError as stop:
-            found, logs = stop.examination, logs or self.logs or []
-            choices = [c for check in found.undecided for c in check.choices]
+            examination, logs = stop.examination, logs or self.logs or []
+            choices = [c for check in examination.undecided for c in check.choices]
             own = not (self.columns or self.topic)
-            flag = flag_for(found.repairs, found.robot.n, logs) if own else None
+            flag = flag_for(examination.repairs, examination.robot.n, logs) if own else None
             fix = f'--fix "{choices[0].name}" ' if choices else ""
             names = shlex.join([self.robot, *map(str, logs)])
             line = f"torchid log doctor {names} {fix}--apply mended.parquet"
             if flag is not None:
                 line = f'read it with --columns "{flag}", or: {line}'
             mends = any(c.repairs for c in stop.wrong)
-            raise WrongLogError(found, stop.wrong, line if mends else None) from None
+            raise WrongLogError(examination, stop.wrong, line if mends else None) from None
 
     def ask_first(
         self, robot: "torchid.Robot", logs: "Logs", files: Sequence[Path] | None, force: bool,

@@ -445,10 +445,10 @@ def in_options(text: str) -> str:
     option of any command stays.
     """
 
-    def option(found: re.Match[str]) -> str:
-        name, value = option_names().get(found[1]), found[2]
+    def option(match: re.Match[str]) -> str:
+        name, value = option_names().get(match[1]), match[2]
         if name is None:
-            return found[0]
+            return match[0]
         if value in ("...", "True"):
             return name
         bare = re.fullmatch(r"""["']?([^\s;&|*?<>(){}[\]$"']+)["']?""", value)

@@ -21,8 +21,8 @@ def robot_command(*, arm: opt.Arm, output: Annotated[Kept, "robot.json"]) -> Non
     """
     from torchid.report.robot import report_of_robot, robot_record
 
-    found = arm.load()
-    output.give(robot_record(found), "robot.json", lambda _: report_of_robot(found))
+    robot = arm.load()
+    output.give(robot_record(robot), "robot.json", lambda _: report_of_robot(robot))
 
 
 @command
@@ -91,12 +91,12 @@ def explain_command(
     if result.is_dir():
         from torchid.report.page.index import entries, report_of_folder, write_index
 
-        found = entries(result)
-        if output.report is not None or len(found) > 1:
+        results = entries(result)
+        if output.report is not None or len(results) > 1:
             output.put(output.report, partial(write_index, result))
-            output.tell(report_of_folder(result, found))
+            output.tell(report_of_folder(result, results))
             return
-        result = found[0].file
+        result = results[0].file
     if output.report is not None:
         raise TorchidError(
             "--report writes an index of a folder.",

@@ -172,7 +172,7 @@ class Option:
 
     @property
     def kinds(self) -> set[Any]:
-        """Its type and the parts of it."""
+        """The option's type, and the types that it is made of."""
         parts = get_args(self.kind)
         return {self.kind, *parts, *(inner for part in parts for inner in get_args(part))}
 
@@ -299,8 +299,8 @@ def _option(name: str, hint: Any, default: Any, texts: dict[str, str]) -> Option
 def _parts(documented: Any, section: str) -> tuple[str, dict[str, str]]:
     """A docstring before a section, and the section's texts by name, each in one line."""
     text, _, rest = (inspect.getdoc(documented) or "").partition(f"\n\n{section}:\n")
-    found: dict[str, str] = {}
+    said: dict[str, str] = {}
     for entry in re.split(r"^    (?=\w)", rest.partition("\n\n")[0], flags=re.MULTILINE)[1:]:
         names, _, words = entry.partition(": ")
-        found |= dict.fromkeys(names.split(", "), " ".join(words.split()))
-    return text, found
+        said |= dict.fromkeys(names.split(", "), " ".join(words.split()))
+    return text, said

@@ -103,8 +103,8 @@ def simulate_command(
     numbers = dict(vars(sensors))
     noise = numbers.pop("noise")
     model = noise_model(noise, **numbers)
-    found = arm.load()
-    effects = [effect_written(text, found, "--effect") for text in effect or []]
+    robot = arm.load()
+    effects = [effect_written(text, robot, "--effect") for text in effect or []]
     moves = closed_loop or bool(effects)
     motions = [torchid.read_log(path) for path in trajectory]
     # All arms move side by side: it takes no longer than one.
@@ -112,7 +112,7 @@ def simulate_command(
     with output.progress("simulating"):
         controller = Controller(control_frequency) if moves else None
         log = torchid.simulate(
-            found, motion, effects=effects, noise=model, closed_loop=moves, rate=rate,
+            robot, motion, effects=effects, noise=model, closed_loop=moves, rate=rate,
             controller=controller, seed=seed, device=device_name,
         )  # fmt: skip
     runs = log.trajectories()
@@ -121,7 +121,7 @@ def simulate_command(
         output.put(file, partial(torchid.write_log, torchid.Log.concatenate(own)))
     names = ", ".join(file.name for file in targets)
     record = simulation_record(
-        found, log, effects, file=names, noise=noise, closed_loop=moves, seed=seed
+        robot, log, effects, file=names, noise=noise, closed_loop=moves, seed=seed
     )
     output.write_json(record, "simulation.json")
     output.warn(log.warnings)
@@ -170,10 +170,10 @@ def _replay(
     model = torchid.ServoArm.read(arm)
     joints = model.robot.joint_names
     logs = [torchid.read_log(path, columns=asked.columns, joints=joints) for path in paths]
-    found = replace(torchid.replay(model, logs, windows=asked.windows), files=tuple(names))
+    replayed = replace(torchid.replay(model, logs, windows=asked.windows), files=tuple(names))
     folder.mkdir(parents=True, exist_ok=True)
-    for name, simulated in zip(names, found.simulated, strict=True):
+    for name, simulated in zip(names, replayed.simulated, strict=True):
         output.put(folder / name, partial(torchid.write_log, simulated.replace(u=None)))
-    output.write_json({**found.plain(), "seed": seed}, "replay.json")
-    for name, error in zip(names, found.error.mean(1).tolist(), strict=True):
-        output.say(f"{name}: {error:.2f} {found.unit} from the measured positions")
+    output.write_json({**replayed.plain(), "seed": seed}, "replay.json")
+    for name, error in zip(names, replayed.error.mean(1).tolist(), strict=True):
+        output.say(f"{name}: {error:.2f} {replayed.unit} from the measured positions")

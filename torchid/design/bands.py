@@ -9,14 +9,13 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.motion import HARDLY, Measurement, direction, fast_speed, moving_speed
+from torchid.design.motion import HARDLY, Measurement, direction, fast_speed
 from torchid.design.segments import Samples, Segment, widened
 from torchid.dynamics.forward import mass_matrix
 from torchid.errors import LogError
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 from torchid.statistics.robust import robust_std, white_variance
-from torchid.statistics.spectrum import density
 from torchid.typing import Float, Tensor
 
 CUTOFF = 8.0
@@ -38,8 +37,8 @@ DWELL = 0.2
 def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
     """Noise that the positions bring into the model's torque, which differentiates them twice.
 
-    It is taken to be white at the level S that the positions' spectra end with (Welch 1967).
-    Through M(q) its variance below a frequency f is S M^2 (2 pi)^4 f^5 / 5.
+    It is taken to be white at the level S that the positions' spectra end with. Through M(q) its
+    variance below a frequency f is S M^2 (2 pi)^4 f^5 / 5.
 
     Args:
         log: on a uniform grid.
@@ -48,16 +47,9 @@ def position_noise(log: Log, robot: Robot) -> Float[Tensor, " n"]:
     Returns:
         (n,) standard deviation below 1 Hz; it grows with f^2.5 [N m; N].
     """
-    level = torch.zeros(robot.n, dtype=torch.float64)
     if robot.parameters is None:
-        return level
-    # Level at which each joint's spectrum ends [rad^2/Hz], trajectories by their length.
-    for rows, rate in zip(log.slices(), log.rates, strict=True):
-        q = log.q[rows].double().numpy()
-        frequency, power = density(q, rate, min(len(q), round(4 * rate)))
-        top = (frequency > 0.375 * rate) & (frequency < 0.475 * rate)
-        if top.any():
-            level += len(q) / log.samples * torch.from_numpy(power[top]).median(0).values
+        return torch.zeros(robot.n, dtype=torch.float64)
+    level = log.noise_density.clone()
     # A base goes far while its noise is small: what its spectrum ends with is leakage.
     for k in robot.free:
         noise = (
@@ -80,7 +72,7 @@ def resolved(log: Log, noise: Float[Tensor, " n"], free: Sequence[int] = ()) -> 
         free: coordinates (from 0) that no motor drives: there is no torque to be resolved.
     """
     # How much of the time each joint moves, over steps that its noise does not reach.
-    moving, least = torch.zeros_like(noise), moving_speed(log)
+    moving, least = torch.zeros_like(noise), log.moving_speed
     for rows, rate in zip(log.slices(), log.rates, strict=True):
         q, step = log.q[rows], max(1, round(DWELL * rate))
         moving += ((q[step:] - q[:-step]).abs() > least * step / rate).sum(0) / log.samples

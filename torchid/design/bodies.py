@@ -121,8 +121,8 @@ class Prior:
         return zero if self.centre is None else self.squares @ self.centre
 
     def value(self, x: Float[Tensor, " K"]) -> float:
-        """Of coefficients, in squares of standard deviations; more than of zeros. Zeros far from
-        where they are expected make it negative."""
+        """How unlikely coefficients are beforehand, in squares of standard deviations, beside
+        zeros; negative where zeros are farther from what is expected."""
         return float(x @ self.squares @ x - 2 * x @ self.pull)
 
     def solve(
@@ -176,8 +176,8 @@ def _stay_bodies(
 
 
 def _minima(each: Sequence[Bodies], matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Of each of G problems the minimum (G, K) over coefficients that leave its bodies so; NaN of
-    one whose program has none."""
+    """Minimum (G, K) of each of G problems, over coefficients that leave its bodies physical; NaN
+    where a problem's program has no solution."""
     # Beside the bodies' own coefficients all others follow.
     at = torch.stack([b.at for b in each]).flatten(1).numpy()
     g = np.arange(len(each))[:, None]
@@ -354,8 +354,8 @@ def _least_mass(pi: Float[Tensor, "n 10"]) -> float:
 
 
 def usual_bodies(pi: Float[Tensor, "n 10"]) -> Float[Tensor, "n 10"]:
-    """Of each link a small body about its centre: a twentieth of the links' mean mass, three
-    centimetres of the link's own mass wide."""
+    """A small body (n, 10) of each link, about its centre: a twentieth of the links' mean mass,
+    three centimetres of the link's own mass wide."""
     mass, com = pi[:, 0].abs(), InertialParameters(pi).com
     small = torch.full_like(mass, _least_mass(pi))
     # 0.03: radius that a link's mass is spread over at least, where a change of it is measured [m]

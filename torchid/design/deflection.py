@@ -51,8 +51,9 @@ def compliance(
     q: Float[Tensor, " N"],
     bounds: Sequence[slice],
 ) -> Compliance | None:
-    """Of one joint, from samples of its lag [rad; m], model torque [N m; N] and position [rad; m];
-    None where the torque cannot be told from the encoders' errors, or the encoders agree exactly.
+    """The compliance of one joint, from samples of its lag [rad; m], model torque [N m; N] and
+    position [rad; m]; None where the torque cannot be told from the encoders' errors, or the
+    encoders agree exactly.
 
     Args:
         lag, load, q: (N,) low-passed alike.

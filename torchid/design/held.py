@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import torch
 
-from torchid.design.motion import moving_speed
 from torchid.design.segments import Segment
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
@@ -31,7 +30,7 @@ def held_ages(log: Log) -> Float[Tensor, "T n"]:
             step), because torque is interpolated linearly: between equal values it is exact.
     """
     assert log.tau is not None
-    ages, moving = torch.zeros_like(log.tau), float(moving_speed(log).min())
+    ages, moving = torch.zeros_like(log.tau), float(log.moving_speed.min())
     for rows, rate in zip(log.slices(), log.rates, strict=True):
         speed = central_difference(log.q[rows].T, rate).abs().amax(0)
         for j in range(log.n):

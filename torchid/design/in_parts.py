@@ -136,7 +136,8 @@ class MotionInParts:
         return q[:, inside], dq[:, inside], ddq[:, inside]
 
     def _direction(self, size: int) -> Int[Tensor, "T n"] | None:
-        """Of all instants, joint by joint: it depends on all that was before.
+        """Direction of motion (T, n) at all instants, -1, 0 or 1, made joint by joint: it depends
+        on all that was before.
 
         Args:
             size: samples filtered at a time.

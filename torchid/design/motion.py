@@ -7,18 +7,14 @@ import torch
 
 from torchid.design.in_parts import MotionInParts, held_sign
 from torchid.effects.base import Motion
-from torchid.effects.friction_laws import RESTING
 from torchid.errors import LogError
 from torchid.log.assemble import OTHER_NAMES
 from torchid.log.columns import column_names
 from torchid.log.filtering import central_difference, lateness
 from torchid.log.model import Log
-from torchid.statistics.robust import white_variance
+from torchid.log.movement import RESTING, SLOW
+from torchid.statistics.robust import column_quantile
 from torchid.typing import Bool, Float, Int, Tensor
-
-MOVING = RESTING
-"""A joint moves when its own |dq| exceeds this [rad/s or m/s], or less in a log that is slow in all
-of it; slower, static friction can hold any torque and the sign of dq is noise."""
 
 YIELDS = 0.02
 """A joint that is held gives way to a push by less than this [rad or m]."""
@@ -26,12 +22,6 @@ YIELDS = 0.02
 HARDLY = 0.1
 """Share of the time below which a joint hardly moves: what holds it is then most of what is known
 about it, and all its samples count."""
-
-_SLOW = 0.1
-"""Share of the fast speed of a joint, or of a log, that is slow in all of it, below which it is at
-rest."""
-
-_LOOK_S, _ENOUGH_STEPS = 0.1, 20_000
 
 LONG = 20_000_000
 """Values of a signal, samples times joints, from which on a log is filtered a part at a time."""
@@ -57,7 +47,7 @@ class Measurement:
         tau: (T, n) measured torque, unfiltered.
         own_velocity: whether dq was measured, not differentiated from q.
         warnings: sentences for the user.
-        moving: (n,) speed above which joints move, by all of the log (`moving_speed`).
+        moving: (n,) speed above which joints move, by all of the log (`Log.moving_speed`).
     """
 
     name: str
@@ -68,7 +58,7 @@ class Measurement:
     tau: Float[Tensor, "T n"]
     own_velocity: bool = False
     warnings: tuple[str, ...] = ()
-    moving: Float[Tensor, " n"] | float = MOVING
+    moving: Float[Tensor, " n"] | float = RESTING
 
     @property
     def samples(self) -> int:
@@ -110,7 +100,7 @@ def measurements(
     long = [p for p in parts if p[0].samples >= _needed(p[1], cutoff)]
     if not long:
         raise _too_short(*max(parts, key=lambda p: p[0].samples / p[1]), cutoff)
-    in_parts, moving = log.samples * log.n > LONG, moving_speed(log)
+    in_parts, moving = log.samples * log.n > LONG, log.moving_speed
     out = [_measurement(part, rate, cutoff, threshold, in_parts, moving) for part, rate in long]
     left_out = [part.names[0] for part, rate in parts if part.samples < _needed(rate, cutoff)]
     if left_out:
@@ -175,42 +165,25 @@ def _too_short(log: Log, rate: float, cutoff: float | None) -> LogError:
     )
 
 
-def moving_speed(log: Log) -> Float[Tensor, " n"]:
-    """Speed (n,) above which joints of a log move [rad/s or m/s]: `MOVING`, or a share of its
-    fastest joint's if that is less, as far as noise of the positions does not make such speeds."""
-    speeds, noise = [], torch.zeros(log.n, dtype=torch.float64)
-    for rows, rate in zip(log.slices(), log.rates, strict=True):
-        step, count = max(1, round(_LOOK_S * rate)), rows.stop - rows.start
-        begun = torch.arange(rows.start, rows.stop - step, max(1, count // _ENOUGH_STEPS))
-        speeds.append((log.q[begun + step] - log.q[begun]).abs() * (rate / step))
-        noise = torch.maximum(noise, white_variance([log.q[rows][:_ENOUGH_STEPS]]).cpu() / rate)
-    all_speeds = torch.cat(speeds).double().cpu()
-    fastest = float(all_speeds.quantile(0.99, 0).max()) if len(all_speeds) else MOVING / _SLOW
-    # 3900.0: velocities that noise of positions makes in the widest band, 40 Hz, three times: of
-    # white noise s at a rate r it is 3 s sqrt(2 (2 pi)^2 40^3 / (3 r)), about this times s /
-    # sqrt(r) [Hz^1.5]
-    return (3900.0 * noise.sqrt()).clamp(min=_SLOW * fastest).clamp(max=MOVING)
-
-
 def resting_speed(
-    motion: Motion, moving: Float[Tensor, " n"] | float = MOVING
+    motion: Motion, moving: Float[Tensor, " n"] | float = RESTING
 ) -> Float[Tensor, " n"]:
     """Speed (n,) above which each joint moves: that of the log, or a share of its own where it is
     slower in nearly all of the motion and yet goes farther than a push moves a joint that is held.
 
     Args:
         motion: of a trajectory.
-        moving: speed above which joints of its log move (`moving_speed`).
+        moving: speed above which joints of its log move (`Log.moving_speed`).
     """
     speed = motion.dq.abs()
     most = torch.as_tensor(moving).to(speed).expand(speed.shape[1])
-    fast = torch.quantile(speed[:: max(1, len(speed) // 100_000)], 0.99, dim=0)
+    fast = column_quantile(speed[:: max(1, len(speed) // 100_000)], 0.99)
     slow = (speed > most).double().mean(0) < HARDLY
     slow &= motion.q.amax(0) - motion.q.amin(0) > YIELDS
-    return torch.where(slow, torch.minimum(_SLOW * fast, most), most)
+    return torch.where(slow, torch.minimum(SLOW * fast, most), most)
 
 
-def moves(motion: Motion, moving: Float[Tensor, " n"] | float = MOVING) -> Bool[Tensor, "T n"]:
+def moves(motion: Motion, moving: Float[Tensor, " n"] | float = RESTING) -> Bool[Tensor, "T n"]:
     """Whether each joint moves; arguments as of `resting_speed`."""
     return motion.dq.abs() > resting_speed(motion, moving)
 
@@ -226,7 +199,7 @@ def fast_speed(measured: Sequence[Measurement]) -> Float[Tensor, " n"]:
         motion = m.motion.part(rows) if isinstance(m.motion, Motion) else m.motion.undirected(rows)
         speeds.append(motion.dq.abs())
         before += m.samples
-    return torch.quantile(torch.cat(speeds), 0.99, dim=0)
+    return column_quantile(torch.cat(speeds), 0.99)
 
 
 def direction(dq: Float[Tensor, "T n"], threshold: Float[Tensor, " n"]) -> Int[Tensor, "T n"]:

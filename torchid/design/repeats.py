@@ -19,7 +19,6 @@ from torchid.design.segments import Samples as SegmentSamples
 from torchid.design.segments import Segment, segments_of
 from torchid.errors import LogError
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.typing import Bool, Float, Int, Samples, Signals, Tensor
 
 POSITION_AGREES = 0.01
@@ -379,9 +378,8 @@ def repeated_motion(log: Log) -> tuple[Repeat, ...]:
     Args:
         log: with or without torque; it must have passed `check_log`.
     """
-    still = torch.zeros_like(log.q)
     try:
-        even = resample(log.replace(tau=still))
+        even = log.even.replace(tau=torch.zeros_like(log.even.q))
         # 10.0: in which motions of a log as it is are compared [Hz]
         band = min(10.0, 0.2 * min(even.rates))
         segments = segments_of(measurements(even, band), band)

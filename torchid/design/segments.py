@@ -14,9 +14,10 @@ from functools import cached_property
 
 import torch
 
-from torchid.design.motion import HARDLY, MOVING, YIELDS, Measurement, resting_speed, timed
+from torchid.design.motion import HARDLY, YIELDS, Measurement, resting_speed, timed
 from torchid.effects.base import Motion
 from torchid.log.filtering import ZeroPhaseFilter, extended, low_pass
+from torchid.log.movement import RESTING
 from torchid.typing import Bool, Float, Signals, Tensor
 
 EDGE = 3.0
@@ -44,7 +45,7 @@ class Segment:
         tau: (T, n) measured torque [N m; N].
         own_velocity: whether dq was measured on its own, so that it can lag behind q.
         stamp: of the first sample in the log itself [s].
-        moving: (n,) speed above which joints of its log move (`moving_speed`).
+        moving: (n,) speed above which joints of its log move (`Log.moving_speed`).
     """
 
     name: str
@@ -54,7 +55,7 @@ class Segment:
     tau: Float[Tensor, "T n"]
     own_velocity: bool
     stamp: float = 0.0
-    moving: Float[Tensor, " n"] | float = MOVING
+    moving: Float[Tensor, " n"] | float = RESTING
 
     @property
     def length(self) -> int:
@@ -63,7 +64,7 @@ class Segment:
 
     @property
     def start(self) -> float:
-        """Its first time [s]; time runs on from one segment to the next."""
+        """Time of the segment's first sample [s]; time runs on from one segment to the next."""
         return float(self.motion.require("t", "a segment")[0])
 
     @property

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 
 from torchid.doctor.check import Check
 from torchid.doctor.repair import repaired
-from torchid.log.checks import FOLLOWS, Agreement, velocity_agreement
+from torchid.log.checks import FOLLOWS
 from torchid.log.model import Log
+from torchid.log.movement import Agreement
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Float, Tensor
 
@@ -57,8 +58,8 @@ class Case:
 
     @property
     def followers(self) -> list[Agreement]:
-        """Of joints whose velocities follow their positions, up to a unit."""
-        return [a for a in velocity_agreement(self.log) if a.correlation > FOLLOWS]
+        """Agreements of joints whose velocities follow their positions, up to a unit."""
+        return [a for a in self.log.agreements if a.correlation > FOLLOWS]
 
     def after(self, made: Check | Sequence[Check]) -> "Case":
         """With checks once more, and the log as they mend it."""

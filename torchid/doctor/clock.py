@@ -21,7 +21,8 @@ from torchid.errors import LogError
 from torchid.log.checks import SLOW_STEP_S, TIME_UNITS, near
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
-from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS, SMALL_GAP, time_steps
+from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS
+from torchid.log.stamps import SMALL_GAP
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Bool, Tensor
 
@@ -127,7 +128,7 @@ def _clock_repairs(log: Log, repeated: list[int], broken: list[int]) -> list[Rep
 
 def check_time_unit(case: Case) -> Check:
     """Is t in seconds? By velocities where there are any, by the size of its step otherwise."""
-    step, ratios = max(s.median for s in time_steps(case.log)), [a.ratio for a in case.followers]
+    step, ratios = max(s.median for s in case.log.steps), [a.ratio for a in case.followers]
     why = "dq is {0:g} times the derivative of q"
     factor = next((f for f in TIME_UNITS if ratios and all(near(r, f) for r in ratios)), None)
     if factor is None:
@@ -202,7 +203,7 @@ def _held(signal: Tensor) -> Bool[Tensor, " steps"]:
 
 def check_stamps(case: Case) -> Check:
     """Are uneven stamps real? Positions are smooth over the time at which they were taken."""
-    text = "; ".join(dict.fromkeys(str(s) for s in time_steps(case.log)[:3]))
+    text = "; ".join(dict.fromkeys(str(s) for s in case.log.steps[:3]))
     parts = [(part.t.numpy(), part.q.numpy()) for part in case.log.trajectories()]
     share = max(_spread(np.diff(t)) for t, _ in parts)
     # 0.1: steps that spread by less than this share of the median are even
@@ -220,7 +221,7 @@ def check_stamps(case: Case) -> Check:
 
 
 def _spread(step: np.ndarray) -> float:
-    """Of the steps without gaps, over their median."""
+    """Standard deviation of the steps without gaps, over their median."""
     inner = step[step < SMALL_GAP * np.median(step)]
     return float(inner.std() / np.median(step)) if len(inner) else 0.0
 

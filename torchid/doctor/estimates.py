@@ -29,6 +29,10 @@ _STEP = math.radians(4.0)
 _LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
 """Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
+LIKELY = 0.5 * CLEAR_GAIN
+"""What a lag must be worth when its interval lies beyond those that are not worth mending: heavy
+friction, which no lag of this size explains away, leaves less to gain. On healthy logs it was .3 of
+a clear gain at most."""
 _SHARES = np.linspace(-0.5, 2.5, 13)
 """Of a lag of all runs, that a run's own may be."""
 
@@ -96,17 +100,29 @@ def _estimate(judge: Judge, end: Hypothesis) -> tuple[np.ndarray, float, float, 
     second = profile(judge, lambda y: turned(first.value, y), (), 0.0, _STEP)
     half = math.hypot(0.5 * (first.high - first.low), 0.5 * (second.high - second.low))
     tilt = math.hypot(first.value, second.value)
-    found = np.array(turned(first.value, second.value).gravity)
-    return found, tilt, half, first.gain + second.gain
+    gravity = np.array(turned(first.value, second.value).gravity)
+    return gravity, tilt, half, first.gain + second.gain
 
 
-def lag_of(judge: Judge, result: Search) -> Profile | None:
-    """How late torque is [s] with all else mended; None where nothing moves with a torque."""
+def lag_of(judge: Judge, result: Search, *, first: bool = False) -> Profile | None:
+    """How late torque is [s] with all else mended; None where nothing moves with a torque.
+
+    Args:
+        judge: of the log.
+        result: of the search for faults.
+        first: without an interval where the lag gains too little for any to make it a fault.
+    """
     end, reach = result.final.hypothesis, judge.samples.reach - 1e-6
     if not judge.live(end):
         return None
     grid, step = [end.late + x for x in _GRID], min(0.01, 0.1 * reach)
-    return profile(judge, lambda late: _late(judge, end, late), grid, end.late, step)
+    least = LIKELY - _searched(result) if first else -math.inf
+    return profile(judge, lambda late: _late(judge, end, late), grid, end.late, step, least)
+
+
+def _searched(result: Search) -> float:
+    """What lags that the search has found have gained already."""
+    return sum(f.gain for f in result.faults if f.move.kind == "lag")
 
 
 def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
@@ -117,17 +133,14 @@ def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
 def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     """`clear`, `likely` (its interval lies beyond what is worth mending), `long` (but nothing bears
     it out), or empty."""
-    gain = lag.gain + sum(f.gain for f in result.faults if f.move.kind == "lag")
+    gain = lag.gain + _searched(result)
     # 0.5: lags that are shorter than this many sampling steps are not worth mending
     least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
     if result.explained and long and gain > CLEAR_GAIN:
         return "clear"
-    # 0.5: share of a clear gain that a lag must be worth when its interval lies beyond those: heavy
-    # friction, which no lag of this size explains away, leaves less to gain. On healthy logs it was
-    # .3 at most.
-    if result.explained and away > least and gain > 0.5 * CLEAR_GAIN:
+    if result.explained and away > least and gain > LIKELY:
         return "likely"
     return "long" if long else ""
 
@@ -168,11 +181,15 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
     end = result.final.hypothesis
     searched = [f for f in result.faults if f.move.kind == "lag"]
     sign, word = (1e3, "late") if lag.value >= 0.0 else (-1e3, "early")
-    low, high = sorted((sign * lag.low, sign * lag.high))
-    text = f"torque is {sign * lag.value:.1f} ms {word} ({low:.1f} to {high:.1f} ms)" + (
-        "; a loop over position explains more than a lag" if judge.samples.loop else ""
-    )
-    check = worded_check("lag", "fine", estimate=lag.value, interval=(lag.low, lag.high), text=text)
+    text, interval = f"torque is {sign * lag.value:.1f} ms {word}", None
+    if math.isfinite(lag.high):
+        interval = lag.low, lag.high
+        text += " ({:.1f} to {:.1f} ms)".format(*sorted(sign * end for end in interval))
+    else:
+        text += ", which gains too little for a fault"
+    if judge.samples.loop:
+        text += "; a loop over position explains more than a lag"
+    check = worded_check("lag", "fine", estimate=lag.value, interval=interval, text=text)
     late = _lateness(judge, result, lag)
     if late in ("clear", "likely"):
         if apart := _lags_apart(judge, end, lag.value):
@@ -184,7 +201,7 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
         sure = late == "clear" and any(f.before[live].max() > EXPLAINED for f in searched)
         return structs.replace(check, verdict="wrong" if sure else "doubtful").mended_by(repair)
     # 0.05: half-width of an interval from which it says nothing of a lag [s]
-    loose = 0.5 * (lag.high - lag.low) > 0.05
+    loose = interval is not None and 0.5 * (lag.high - lag.low) > 0.05
     if loose or searched or late or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check
@@ -210,7 +227,7 @@ def _lags_apart(judge: Judge, end: Hypothesis, late: float) -> str:
         best, *without = (lowest(lags, x.tolist()) for x in each)
         left_out = torch.tensor(without, dtype=torch.float64).unsqueeze(1)
         ends = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
-        own.append((best, *ends, judge.samples.names[run]))
+        own.append((best, *ends, judge.samples.log.names[run]))
     (least, _, below, first), (most, above, _, last) = min(own), max(own)
     if below >= above or most - least < 0.5 * abs(late):
         return ""

@@ -160,12 +160,10 @@ def examine(
             got=f"{longest} samples",
             expected=f"at least {LEAST_SAMPLES} in a trajectory",
         )
-    if log.tau is None and log.current is not None and robot.drive_gain is not None:
-        log = log.with_torque(robot.drive_gain)
     case = _walked(Case(robot, log, fixes))
-    settled = by_torque(robot, log, case.checks)
-    if settled is not None:
-        case = _walked(Case(robot, log, (*fixes, settled)))
+    by_bodies = by_torque(robot, log, case.checks)
+    if by_bodies is not None:
+        case = _walked(Case(robot, log, (*fixes, by_bodies)))
     # What a fit has made of the links is no mistake of a file.
     if robot.knowledge is None and (odd := unit_findings(robot)):
         text = "; ".join(finding.sentence for finding in odd)
@@ -225,48 +223,48 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
         none = [judged(name, "cannot tell", rows) for name in MODEL_CHECKS]
         return Examination(robot, given, (*case.checks, *none))
     judge = Judge(robot, rows)
-    found = search(judge, start, fixes, first=first)
-    lag = lag_of(judge, found)
-    if (loop := looped(judge, found, lag)) is not None:
-        judge, found = loop, search(loop, start, fixes)
-        lag = lag_of(judge, found)
+    searched = search(judge, start, fixes, first=first)
+    lag = lag_of(judge, searched, first=first)
+    if (loop := looped(judge, searched, lag)) is not None:
+        judge, searched = loop, search(loop, start, fixes)
+        lag = lag_of(judge, searched, first=first)
     # What currents without gains hold is asked when there are gains.
-    kind = None if case.log.tau is None else check_kind(judge, found.final.hypothesis)
+    kind = None if case.log.tau is None else check_kind(judge, searched.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):
         # Nothing else can be said of what is left once the model has been taken out.
         none = [judged(name, "cannot tell", "the torque is external") for name in MODEL_CHECKS]
-        return Examination(robot, given, (*case.checks, kind, *none), found, judge)
+        return Examination(robot, given, (*case.checks, kind, *none), searched, judge)
     if kind is not None:
-        found = search(judge, weightless(start), fixes)
-        lag = lag_of(judge, found)
-    end, checks = found.final.hypothesis, list(case.checks)
-    if found.explained:
+        searched = search(judge, weightless(start), fixes)
+        lag = lag_of(judge, searched, first=first)
+    end, checks = searched.final.hypothesis, list(case.checks)
+    if searched.explained:
         case = replace(
-            case, log=repaired(case.log, [r for f in found.faults for r in f.move.repairs])
+            case, log=repaired(case.log, [r for f in searched.faults for r in f.move.repairs])
         )
         # Positions beyond the limits may be another joint's, or of another sign.
         for k, check in enumerate(checks):
             if check.name == "zero of positions" and not check.repairs:
                 checks[k : k + 1] = motion.check_zeros(case)
-    turned = any(f.move.kind == "gravity" for f in found.faults)
+    turned = any(f.move.kind == "gravity" for f in searched.faults)
     # First: if it leaves a choice, the others wait.
     if kind is not None:
         checks.append(kind)
     elif turned or not first:
-        checks.append(check_gravity(judge, found, fixes))
-    denied = denied_faults(judge, found)
-    checks += fault_checks(judge, found, denied, fixes, case.checks)
-    sized = confirmed(found, denied)
-    checks.append(check_lag(judge, found, lag))
-    if found.explained or case.log.tau is None:
+        checks.append(check_gravity(judge, searched, fixes))
+    denied = denied_faults(judge, searched)
+    checks += fault_checks(judge, searched, denied, fixes, case.checks)
+    sized = confirmed(searched, denied)
+    checks.append(check_lag(judge, searched, lag))
+    if searched.explained or case.log.tau is None:
         checks.append(check_size(judge, case.log, sized, fixes))
     else:
         checks.append(judged("torque unit", "cannot tell", UNTOLD))
-    checks += check_runs(judge, end) if found.explained else ()
+    checks += check_runs(judge, end) if searched.explained else ()
     if not first:
         checks += check_nominal(judge, case.log, sized)
-        checks += unseen_faults(judge, found)
-    return Examination(robot, given, tuple(checks), found, judge)
+        checks += unseen_faults(judge, searched)
+    return Examination(robot, given, tuple(checks), searched, judge)
 
 
 def record(examination: Examination, columns: str | None = None) -> DoctorRecord:
@@ -308,8 +306,8 @@ def conclusion(examination: Examination) -> str:
     hidden = _hidden(examination)
     if not said and not hidden:
         return "Nothing speaks against this log."
-    found = "; ".join(said) or "no fault found in what could be checked"
-    text = f"{found[0].upper()}{found[1:]}."
+    summary = "; ".join(said) or "no fault found in what could be checked"
+    text = f"{summary[0].upper()}{summary[1:]}."
     if not hidden:
         return text
     reasons = {c.evidence for c in hidden}

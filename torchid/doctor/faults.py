@@ -52,10 +52,10 @@ def fault_checks(
     """
     unit = _taken_unit(before)
     live = judge.live(result.final.hypothesis)
-    found = [f for f in result.faults if FAULTS[f.move.kind].check]
+    checked = [f for f in result.faults if FAULTS[f.move.kind].check]
     checks = [
         _explained(judge, result, live),
-        *(_check(judge, result, f, f in denied, fixes, unit) for f in found),
+        *(_check(judge, result, f, f in denied, fixes, unit) for f in checked),
     ]
     names = {c.name for c in checks}
     for name in _ALWAYS:
@@ -84,14 +84,14 @@ def unseen_faults(judge: Judge, result: Search) -> list[Check]:
             groups = [*(g for g in groups if len(g) == 1), *(g for g in least if len(g) > 1)]
         if kind == "gain":
             groups = [(k,) for k in _of_any_size(judge, result)]
-        told = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
-        if not told:
+        places = list(dict.fromkeys(joint_list(g) for g in sorted(groups, key=len)))
+        if not places:
             continue
-        if len(told) > most_named:
-            told[most_named:] = [f"{len(told) - most_named} more"]
+        if len(places) > most_named:
+            places[most_named:] = [f"{len(places) - most_named} more"]
         joints = sorted({k for g in groups for k in g})
         out.append(
-            worded_check(f"unseen {kind}", "cannot tell", " or of ".join(told), joints=joints)
+            worded_check(f"unseen {kind}", "cannot tell", " or of ".join(places), joints=joints)
         )
     return out
 
@@ -126,13 +126,13 @@ def _explained(judge: Judge, result: Search, live: Sequence[int]) -> Check:
 
 
 def moments_of(judge: Judge, result: Search, joints: Sequence[int]) -> list[tuple[list[int], str]]:
-    """Of which of these joints the torque is another component of what the joint passes on, and
-    which one, in words."""
-    found: dict[str, list[int]] = {}
+    """Joints (from 0) whose torque is another component of what the joint passes on, grouped by
+    that component in words."""
+    groups: dict[str, list[int]] = {}
     for k, axis in other_moments(judge, result.final.hypothesis, joints).items():
-        found.setdefault(axis, []).append(k)
+        groups.setdefault(axis, []).append(k)
     words = "the moment about {} of the link's frame, not the axis"
-    return [(found[axis], words.format(axis)) for axis in sorted(found)]
+    return [(groups[axis], words.format(axis)) for axis in sorted(groups)]
 
 
 def _taken_unit(before: Sequence[Check]) -> dict[int, float]:
@@ -150,14 +150,14 @@ def _taken_unit(before: Sequence[Check]) -> dict[int, float]:
 def _check(
     judge: Judge,
     result: Search,
-    found: FoundFault,
+    one_fault: FoundFault,
     denied: bool,
     fixes: Collection[str],
     unit: dict[int, float],
 ) -> Check:
-    move, end, fault = found.move, result.final.hypothesis, FAULTS[found.move.kind]
+    move, end, fault = one_fault.move, result.final.hypothesis, FAULTS[one_fault.move.kind]
     assert fault.check is not None
-    choices, own = choices_of(found), dict[str, Any](joints=move.joints)
+    choices, own = choices_of(one_fault), dict[str, Any](joints=move.joints)
     first, last = "", ""
     # Of a torque that nothing explains (a limit, a controller's) another sign explains no more.
     concerned = list(move.joints or judge.live(end))
@@ -189,27 +189,27 @@ def _check(
                 f"; the log's are {factor:.4g} times the joints' angles: motors before their gears?"
             )
         own |= {"estimate": factor}
-    rivals = ", ".join(_name(r) for r in found.rivals)
-    text = first + improvement_text(found) + (f"; as good: {rivals}" if rivals else "")
+    rivals = ", ".join(_name(r) for r in one_fault.rivals)
+    text = first + improvement_text(one_fault) + (f"; as good: {rivals}" if rivals else "")
     if denied:
         text += "; the robot's own parameters do not confirm it"
-    doubtful = denied or not found.needed
+    doubtful = denied or not one_fault.needed
     verdict: Verdict = "cannot tell" if unsure else "doubtful" if doubtful else "wrong"
     check = judged(fault.check, verdict, f"{_name(move)}: {text}{last}", **own)
     return check if unsure else with_choices(check, choices, fixes, sure=not doubtful)
 
 
-def _nominal_objects(judge: Judge, found: FoundFault) -> bool:
+def _nominal_objects(judge: Judge, fault: FoundFault) -> bool:
     """Whether the robot has parameters that explain the torque no better with a fault mended: two
     witnesses, for free bodies find more than one way to explain a slow or narrow motion."""
     if judge.robot.parameters is None or not judge.robot.parameters.pi.any():
         return False
-    if found.move.kind == "gain":
+    if fault.move.kind == "gain":
         # Of every size it explains as much: mended, it is nearer to the other joints' size.
-        (joint,) = found.move.joints
-        before, after = (_odd_size(judge, h, joint) for h in (found.move.before, found.move.after))
+        (joint,) = fault.move.joints
+        before, after = (_odd_size(judge, h, joint) for h in (fault.move.before, fault.move.after))
         return not after < before
-    gain = nominal_loss(judge, found.move.before) - nominal_loss(judge, found.move.after)
+    gain = nominal_loss(judge, fault.move.before) - nominal_loss(judge, fault.move.after)
     return gain < CLEAR_GAIN
 
 
@@ -224,13 +224,13 @@ def _odd_size(judge: Judge, hypothesis: Hypothesis, joint: int) -> float:
     return abs(math.log(float(slopes.value[own][0] / np.median(others))))
 
 
-def choices_of(found: FoundFault) -> list[Choice]:
+def choices_of(fault: FoundFault) -> list[Choice]:
     """The fault that was found and those that would explain the log as well."""
     return [
         Choice(m.name, gravity_fix(m.after.gravity), m.repairs)
         if m.kind == "gravity"
         else Choice.by(m.name, *m.repairs)
-        for m in (found.move, *found.rivals)
+        for m in (fault.move, *fault.rivals)
     ]
 
 
@@ -243,14 +243,14 @@ def gravity_fix(gravity: Sequence[float] | np.ndarray) -> str:
     )
 
 
-def improvement_text(found: FoundFault) -> str:
+def improvement_text(fault: FoundFault) -> str:
     """What mending does to the error of the joints it matters to most, held out."""
-    ratio = found.before / found.after
-    worst = [int(k) for k in np.argsort(-ratio)[:3] if found.helped[k]]
+    ratio = fault.before / fault.after
+    worst = [int(k) for k in np.argsort(-ratio)[:3] if fault.helped[k]]
     changes = ", ".join(
-        f"joint {k + 1} {percent(found.before[k])} -> {percent(found.after[k])}" for k in worst
+        f"joint {k + 1} {percent(fault.before[k])} -> {percent(fault.after[k])}" for k in worst
     )
-    return f"held-out error {changes}, better in {found.blocks[0]} of {found.blocks[1]} blocks"
+    return f"held-out error {changes}, better in {fault.blocks[0]} of {fault.blocks[1]} blocks"
 
 
 def _name(move: Move) -> str:

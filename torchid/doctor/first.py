@@ -79,10 +79,10 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
     if robot.floating or log.n != robot.n or longest < LEAST_SAMPLES or not gains:
         return Doubts()  # without gains the diagnosis asks for them
     try:
-        found = examine(robot, log, first=True)
+        examination = examine(robot, log, first=True)
     except LogError:  # which the diagnosis says, if it matters there
         return Doubts()
-    odd = [c for c in found.by_verdict() if c.name in DECISIVE or holds_no_gravity(c)]
+    odd = [c for c in examination.by_verdict() if c.name in DECISIVE or holds_no_gravity(c)]
     # A dq that only lags, or is coarse, is left out of what follows; a tilt is an effect.
     odd = [c for c in odd if c.verdict in ("wrong", "doubtful")]
     odd = [c for c in odd if c.verdict == "wrong" or c.name not in _EXPLAINABLE]
@@ -91,25 +91,26 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
     # A model is wrong by any factor, a unit by its own.
     wrong = [c for c in odd if c.verdict == "wrong" and (c.repairs or c.name != "torque unit")]
     if wrong and not force:
-        raise WrongLogError(found, wrong)
+        raise WrongLogError(examination, wrong)
     odd.sort(key=lambda c: c not in wrong)
     # The model's own mistakes are what a diagnosis is for: no doubt of the log.
-    every = (*odd, *(c for c in found.checks if c.name == FILE))
+    every = (*odd, *(c for c in examination.checks if c.name == FILE))
     notes = tuple(f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in every)
-    foreign = _foreign(found)
+    foreign = _foreign(examination)
     if not odd:
         return Doubts(warnings=notes, foreign=foreign)
     text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
     return Doubts(text, notes, bool(wrong), foreign)
 
 
-def _foreign(found: Examination) -> str:
-    """That torques follow no model of this robot, as the examination has decided it."""
-    if found.search is None or found.judge is None or found.search.explained:
+def _foreign(examination: Examination) -> str:
+    """A sentence that the torque follows no model of this robot, where the examination has decided
+    so; else empty."""
+    if examination.search is None or examination.judge is None or examination.search.explained:
         return ""
-    odd = [j for j, x in enumerate(found.search.left) if x > UNEXPLAINED]
-    live = found.judge.live(found.search.final.hypothesis)
-    known = moments_of(found.judge, found.search, [j for j in odd if j in live])
+    odd = [j for j, x in enumerate(examination.search.left) if x > UNEXPLAINED]
+    live = examination.judge.live(examination.search.final.hypothesis)
+    known = moments_of(examination.judge, examination.search, [j for j in odd if j in live])
     more = "".join(f": it is {moment}" for joints, moment in known if joints == odd)
     return f"The torque of {joint_list(odd)} follows no model of this robot{more}."
 

@@ -42,7 +42,7 @@ def columns_option(repairs: Sequence[Repair], n: int, columns: Collection[str]) 
 
 
 def _entry(key: str, repairs: Sequence[Repair], signal: str, n: int) -> str:
-    """Of one signal: joint k is factor (column + offset)."""
+    """The entry of `--columns` that mends one signal: joint k is factor (column + offset)."""
     if any(isinstance(r, DropSignal) and r.signal == signal for r in repairs):
         return f"{key}=none"
     made = Map.of(n)

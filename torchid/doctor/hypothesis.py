@@ -1,6 +1,7 @@
 """What a log may mean: which column is which joint, of which sign and size, under which gravity."""
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -111,8 +112,8 @@ class Judge:
         key = hypothesis, None if weights is None else tuple(weights.tolist())
         if key not in self._scores:
             normal = self.normal(hypothesis)
-            found = self.fit(normal, weights)
-            self._scores[key] = Score(hypothesis, found, shares(found.variance, normal.spread))
+            fitted = self.fit(normal, weights)
+            self._scores[key] = Score(hypothesis, fitted, shares(fitted.variance, normal.spread))
         return self._scores[key]
 
     def lower_bound(self, hypothesis: Hypothesis) -> float:
@@ -124,17 +125,17 @@ class Judge:
 
     def fit(self, normal: Normal, weights: Weights = None) -> Fit:
         """The best bodies for some rows, sought from those that the last rows had."""
-        found = fit(normal, self.cone, weights, self._used)
-        self._used = found.used
-        return found
+        fitted = fit(normal, self.cone, weights, self._used)
+        self._used = fitted.used
+        return fitted
 
     def held_out(self, hypothesis: Hypothesis) -> np.ndarray:
         """(B, n) errors of each block under the fit to the others, as shares of the spread; NaN
         where a joint does not move."""
         normal, rows = self.normal(hypothesis, self.members), []
         for b in range(BLOCKS):
-            found = self.fit(normal.without(b))
-            error = shares(normal.mean_square(found.x)[b], normal.spread)
+            fitted = self.fit(normal.without(b))
+            error = shares(normal.mean_square(fitted.x)[b], normal.spread)
             rows.append(np.where(normal.count[b] >= FEWEST, error, np.nan))
         return np.stack(rows)
 
@@ -176,7 +177,7 @@ class Judge:
         return moving
 
     def columns(self, hypothesis: Hypothesis) -> Columns:
-        """Of the joints' rows under a hypothesis."""
+        """Columns of the joints' rows under a hypothesis, kept for the last few."""
         key = hypothesis.moved
         if key not in self._columns:
             if len(self._columns) > 6:
@@ -256,7 +257,8 @@ class Profile:
 
     Attributes:
         value: where the loss is lowest.
-        low, high: 95 %, from leaving out one block of time after the other.
+        low, high: 95 %, from leaving out one block of time after the other; infinite where they
+            were not asked.
         gain: by how much the loss is lower than at the starting value.
     """
 
@@ -267,7 +269,12 @@ class Profile:
 
 
 def profile(
-    judge: Judge, family: Family, grid: Sequence[float], start: float, step: float
+    judge: Judge,
+    family: Family,
+    grid: Sequence[float],
+    start: float,
+    step: float,
+    least: float = -math.inf,
 ) -> Profile:
     """Minimise the loss over one number: on a grid, then by parabolas, then by the jackknife.
 
@@ -277,12 +284,16 @@ def profile(
         grid: first values tried; `start` is one more.
         start: the value that would be fine.
         step: distance of the values that a parabola goes through.
+        least: gain up to which no interval is asked, and none is worked out.
     """
 
     def loss(x: float) -> float:
         return judge.score(family(x)).loss
 
     best = minimum(loss, (*grid, start), step)
+    gain = loss(start) - loss(best)
+    if gain <= least:
+        return Profile(best, -math.inf, math.inf, gain)
     values = (best - step, best, best + step)
     normals = [judge.normal(family(x), judge.members) for x in values]
     weights = judge.fit(normals[1]).weights
@@ -293,7 +304,7 @@ def profile(
         estimates.append(_vertex(values, [float(np.log(e).sum()) for e in errors]))
     left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
     low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
-    return Profile(best, low, high, loss(start) - loss(best))
+    return Profile(best, low, high, gain)
 
 
 def minimum(

@@ -18,7 +18,6 @@ from torchid.log.checks import (
     largest_slide,
     near,
     position_jumps,
-    velocity_agreement,
 )
 from torchid.robot.model import JointType, joint_list
 from torchid.statistics.criteria import BEYOND_LIMIT_RAD
@@ -50,8 +49,8 @@ _OWN_UNIT = (
 
 @dataclass(frozen=True)
 class _Unit:
-    """Of one joint: radians (metres) in a unit of q, None where counts are of an unknown part of a
-    turn; rad/s in a unit of dq that has one of its own; and why."""
+    """The unit of one joint's q: radians (metres) in it, None where counts are of an unknown part
+    of a turn; rad/s in a unit of dq that has one of its own; and why."""
 
     factor: float | None = 1.0
     rate: float = 1.0
@@ -73,8 +72,8 @@ class _Units:
 
     @cached_property
     def repairs(self) -> tuple[Repair, ...]:
-        """Of positions, and of velocities: a dq in the unit of q has the same fault; one in rad/s
-        has not."""
+        """Repairs of positions and velocities: a dq in the unit of q has the same fault; one in
+        rad/s has not."""
         signals, ratio = self.case.log.signals, _ratios(self.case)
         if set(self.factors) == {1.0}:
             return ()
@@ -105,13 +104,13 @@ def _ratios(case: Case) -> dict[int, float]:
 def check_position_unit(case: Case) -> Check:
     """Degrees or encoder counts in place of radians, and velocities in units of their servos."""
     servo = _servo(case)
-    told = [_unit_of(case, k, servo) for k in range(case.robot.n)]
-    evidence = [unit.evidence for unit in told if unit.evidence]
+    by_joint = [_unit_of(case, k, servo) for k in range(case.robot.n)]
+    evidence = [unit.evidence for unit in by_joint if unit.evidence]
     if not evidence:
         size = float(case.log.q.abs().max())
         return judged("position unit", "fine", f"rad (or m): |q| up to {size:.3g}", estimate=1.0)
-    units = _most_alike(case, told)
-    unknown = [k for k, unit in enumerate(told) if unit.factor is None]
+    units = _most_alike(case, by_joint)
+    unknown = [k for k, unit in enumerate(by_joint) if unit.factor is None]
     joints = tuple(k for k, f in enumerate(units.factors) if f != 1.0 or k in unknown)
     beyond = list(units.beyond())
     if choices := _no_degrees(units, beyond):
@@ -143,12 +142,12 @@ def check_position_unit(case: Case) -> Check:
     ).mended_by(*units.repairs)
 
 
-def _most_alike(case: Case, told: Sequence[_Unit]) -> _Units:
+def _most_alike(case: Case, units: Sequence[_Unit]) -> _Units:
     """The units of all joints. Where most are in one unit, the others are too, unless velocities
     say otherwise: they only stayed near zero, or still."""
-    pairs = [(unit.factor or 1.0, unit.rate) for unit in told]
+    pairs = [(unit.factor or 1.0, unit.rate) for unit in units]
     rotary = [k for k, x in enumerate(case.robot.joint_types) if x is not JointType.PRISMATIC]
-    clear = {a.joint for a in velocity_agreement(case.log) if near(a.ratio, 1.0)}
+    clear = {a.joint for a in case.log.agreements if near(a.ratio, 1.0)}
     for most in {pairs[k] for k in rotary} - {(1.0, 1.0)}:
         if 2 * sum(pairs[k] == most for k in rotary) >= len(rotary):
             pairs = [

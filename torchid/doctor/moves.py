@@ -128,13 +128,13 @@ def all_moves(judge: Judge, now: Hypothesis) -> Iterator[Move]:
     """All moves from a hypothesis, with the signals that the log has."""
     for fault in FAULTS.values():
         for move in fault.moves(judge, now):
-            yield replace(move, signals=judge.samples.signals)
+            yield replace(move, signals=tuple(judge.samples.log.signals))
 
 
 def joint_sign(judge: Judge, now: Hypothesis, joints: Sequence[int]) -> Move:
     """The axes of some joints turned around: positions and torques negated."""
     move = _scaled("joint sign", now, joints, q=-1.0, tau=-1.0)
-    return replace(move, signals=judge.samples.signals)
+    return replace(move, signals=tuple(judge.samples.log.signals))
 
 
 def _scaled(
@@ -146,7 +146,7 @@ def _scaled(
 
 
 def _signs(judge: Judge, now: Hypothesis, kind: str, q: float, tau: float) -> Iterator[Move]:
-    """Of each joint, and of all of them."""
+    """Moves that turn the sign of each joint by itself, and of all of them."""
     live = judge.live(now)
     for joints in [[k] for k in live] + [list(range(judge.robot.n))] * (len(live) > 1):
         yield _scaled(kind, now, joints, q=q, tau=tau)
@@ -381,5 +381,5 @@ def alternatives(turned: Group, groups: tuple[Group, ...]) -> list[Group]:
     """All groups that explain a log as well as this one, smallest first; axes that may point either
     way by themselves are left as they are."""
     alone = frozenset().union(*(g for g in groups if len(g) == 1))
-    found = {turned - alone, *((turned ^ g) - alone for g in groups)}
-    return sorted(found, key=lambda g: (len(g), sorted(g)))
+    others = {turned - alone, *((turned ^ g) - alone for g in groups)}
+    return sorted(others, key=lambda g: (len(g), sorted(g)))

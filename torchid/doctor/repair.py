@@ -115,7 +115,7 @@ class Map:
         factors: Iterable[float] | None = None,
         offsets: Iterable[float] | None = None,
     ) -> "Map":
-        """Of n columns; what is not given changes nothing."""
+        """The map of n columns; what is not given changes nothing."""
         return cls(
             tuple(range(n) if order is None else order),
             (1.0,) * n if factors is None else tuple(factors),

@@ -40,7 +40,7 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
     runs, pieces = pieces_of_runs(judge)
     if len(runs) < 2 or not judge.live(hypothesis):
         return []
-    normal, names = judge.normal(hypothesis, pieces), judge.samples.names
+    normal, names = judge.normal(hypothesis, pieces), judge.samples.log.names
     n = judge.robot.n  # columns of the last link's parameters among those of all links
     last = np.r_[n - 1, n + 3 * (n - 1) : 4 * n, 4 * n + 6 * (n - 1) : 10 * n]
     bodies = judge.cone[:, judge.cone[last].any(0)]
@@ -56,10 +56,10 @@ def check_runs(judge: Judge, hypothesis: Hypothesis) -> list[Check]:
             looked += [(gain, place, parts, load)] if gain > CLEAR_GAIN else []
     # 3: runs that a load explains best, which alone are looked at with parts left out
     for _, place, parts, load in sorted(looked, key=lambda x: -x[0])[:3]:
-        found = _contradicts(parts, cone, names[runs[place]], load)
+        contradiction = _contradicts(parts, cone, names[runs[place]], load)
         # One that agrees with others by itself is not what contradicts: one of these is.
-        if found is not None and _contradicts_most(normal, place, len(runs), cone, load):
-            return [found]
+        if contradiction is not None and _contradicts_most(normal, place, len(runs), cone, load):
+            return [contradiction]
     return [worded_check("runs", "fine", count=len(runs))]
 
 
@@ -83,7 +83,7 @@ def pieces_of_runs(judge: Judge) -> tuple[list[int], list[np.ndarray]]:
     """Runs that are long enough to be held against each other; and which rows are in each of the
     `PIECES` of one after the other, at the end those of no such run."""
     owner = judge.samples.run.numpy()
-    count = np.bincount(owner, minlength=len(judge.samples.names))
+    count = np.bincount(owner, minlength=len(judge.samples.log.names))
     runs = np.flatnonzero(count >= PIECES * LEAST_ROWS).tolist()
     piece = np.full(len(owner), PIECES * len(runs))
     for place, run in enumerate(runs):

@@ -1,14 +1,13 @@
 """A log as the doctor's model checks take it: smooth, on a coarse grid, in blocks of time."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from torchid.log.checks import NO_TORQUE, least_way
+from torchid.log.checks import NO_TORQUE
 from torchid.log.filtering import ZeroPhaseFilter, central_difference
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.typing import Bool, Float, Int, Tensor
 
 BLOCKS = 8
@@ -50,79 +49,69 @@ class Stretch:
 
 @dataclass(frozen=True)
 class Samples:
-    """All trajectories of a log.
+    """Rows of all trajectories of a log.
 
     Attributes:
-        stretches: one a trajectory.
+        log: that they are of.
+        stretches: one a trajectory, or a part of one between two long gaps.
         motion, moving: (T, n, 4), (T, n) rows of all of them.
         block: (T,) block of each row, 0..BLOCKS-1.
-        run: (T,) trajectory of each row, a number of `names`.
-        names: of the trajectories of the log.
+        run: (T,) trajectory of the log that each row is of, from 0.
         reach: how far torque may be shifted [s].
-        step: of the log [s].
-        signals: that the log has.
-        even: the log that they are of, on a uniform grid, with torque.
+        step: of the log on its uniform grid [s].
         loop: share of half a joint's range over which dry friction builds up; 0: at once; negative:
             as bristles bend (Dahl), and not along a straight line.
     """
 
+    log: Log
     stretches: tuple[Stretch, ...]
     motion: Float[Tensor, "T n 4"]
     moving: Bool[Tensor, "T n"]
     block: Int[Tensor, " T"]
     run: Int[Tensor, " T"]
-    names: tuple[str, ...]
     reach: float
     step: float
-    signals: tuple[str, ...]
-    even: Log
     loop: float = 0.0
 
     def looped(self, share: float) -> "Samples":
         """These samples, with a loop over position in the place of the direction of motion: dry
         friction that builds up after each reversal (presliding, play, a brake's band)."""
-        made = _samples(self.even, share)
+        made = samples(self.log, share)
         assert isinstance(made, Samples)
-        return replace(made, signals=self.signals, names=self.names)
+        return made
 
     def torque(self, late: float = 0.0) -> Float[Tensor, "T n"]:
         """Torque of the rows, read `late` seconds later than their motion."""
         return torch.cat([s.torque(late) for s in self.stretches])
 
 
-def samples(log: Log) -> Samples | str:
+def samples(log: Log, loop: float = 0.0) -> Samples | str:
     """Rows for the model checks, or in words why there are none: no torque, or too short a log.
 
     Args:
         log: with torques or currents.
+        loop: as of `Samples`.
 
     The cut-off is four times the frequency below which 98 % of the motion's velocity lies.
     """
     torque = log.tau if log.tau is not None else log.current
     if torque is None or float(torque.abs().max()) < NO_TORQUE:
         return "there is no torque"
-    # Numbers in place of names, which need not differ: a run may be split at long gaps.
-    even = resample(log.replace(tau=torque, names=tuple(map(str, range(log.trajectory_count)))))
-    made = _samples(even)
-    if isinstance(made, str):
-        return made
-    return replace(made, signals=tuple(log.signals), names=log.names)
-
-
-def _samples(even: Log, loop: float = 0.0) -> Samples | str:
-    """Rows of a log on a uniform grid; `loop` as of `Samples`."""
-    parts = list(zip(even.trajectories(), even.rates, strict=True))
+    even = log.even
+    parts = zip(even.trajectories(), even.rates, log.even_runs, strict=True)
     fewest = 40
-    usable = [(p, r) for p, r in parts if p.samples > fewest]
+    usable = [(p, rate, run) for p, rate, run in parts if p.samples > fewest]
     if not usable:
         return f"no trajectory has more than {fewest} samples"
-    cutoff = max(_cutoff(p, r) for p, r in usable)
-    total = sum(p.samples / r for p, r in usable)
-    lengths, ways = 0.5 * loop * (even.q.amax(0) - even.q.amin(0)), least_way(even)
+    cutoff = max(_cutoff(p, rate) for p, rate, _ in usable)
+    total = sum(p.samples / rate for p, rate, _ in usable)
+    lengths, ways = 0.5 * loop * (even.q.amax(0) - even.q.amin(0)), even.least_way
     # 1600: samples kept, spread evenly
-    made = [(_stretch(p, r, cutoff, 1600 / total, lengths, ways), p.names[0]) for p, r in usable]
+    made = [
+        (_stretch(p, rate, cutoff, 1600 / total, lengths, ways), run) for p, rate, run in usable
+    ]
     kept = [s for s, _ in made if s is not None]
-    runs = [torch.full_like(s.t[s.inside], int(name.partition("[")[0])) for s, name in made if s]
+    runs = [torch.full_like(s.t[s.inside], run) for s, run in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)
     if count < 10 * BLOCKS:
         # The length that the rows of all blocks and the ends of a trajectory need.
@@ -132,16 +121,14 @@ def _samples(even: Log, loop: float = 0.0) -> Samples | str:
             "least, better 20 s, with all joints moving"
         )
     return Samples(
+        log,
         tuple(kept),
         torch.cat([s.motion[s.inside] for s in kept]),
         torch.cat([s.moving[s.inside] for s in kept]),
         block=torch.arange(count) * BLOCKS // count,
         run=torch.cat(runs).long() if runs else torch.zeros(0).long(),
-        names=even.names,
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
-        step=1.0 / max(r for _, r in usable),
-        signals=tuple(even.signals),
-        even=even,
+        step=1.0 / max(rate for _, rate, _ in usable),
         loop=loop,
     )
 
@@ -162,8 +149,8 @@ def _cutoff(log: Log, rate: float) -> float:
 def _stretch(
     log: Log, rate: float, cutoff: float, most_per_second: float, lengths: Tensor, least: Tensor
 ) -> Stretch | None:
-    low = ZeroPhaseFilter(rate, cutoff)
-    assert log.tau is not None
+    low, torque = ZeroPhaseFilter(rate, cutoff), log.tau if log.tau is not None else log.current
+    assert torque is not None
     q = low.apply(log.q.T)
     dq = central_difference(q, rate)
     wide = min(5.0 * cutoff, 0.4 * rate)
@@ -183,7 +170,7 @@ def _stretch(
     edge = -(-min(edge, log.samples // 6) // every)
     motion = torch.stack([q, dq, central_difference(dq, rate), sign], -1)
     motion, moving, tau = (
-        x.transpose(0, 1)[picked].contiguous() for x in (motion, moving, low.apply(log.tau.T))
+        x.transpose(0, 1)[picked].contiguous() for x in (motion, moving, low.apply(torque.T))
     )
     count = len(motion)
     if count < 2 * edge + 10:

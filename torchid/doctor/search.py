@@ -117,7 +117,7 @@ def _greedy(
 ) -> Search:
     now = start
     held = judge.held_out(now)
-    found: list[FoundFault] = []
+    faults: list[FoundFault] = []
     while True:
         base = judge.score(now)
         # Moves of one motion after another, whose regressors are the same.
@@ -140,33 +140,33 @@ def _greedy(
         costs = tuple(sorted(looked, key=lambda x: x[0]))
         best = _best(judge, held, costs, fixes)
         # 6: faults of one log at most
-        if best is None or len(found) == 6:
-            merged = _turned_together(judge, start, found, fixes)
+        if best is None or len(faults) == 6:
+            merged = _turned_together(judge, start, faults, fixes)
             end = merged[-1].move.after if merged else now
             return Search(tuple(merged), judge.score(end), held, costs)
-        found.append(best[0])
+        faults.append(best[0])
         now, held = best[0].move.after, best[1]
 
 
 def _turned_together(
-    judge: Judge, start: Hypothesis, found: Sequence[FoundFault], fixes: Collection[str]
+    judge: Judge, start: Hypothesis, faults: Sequence[FoundFault], fixes: Collection[str]
 ) -> Sequence[FoundFault]:
     """The faults with all turned axes as one, of the fewest axes or as chosen; its rivals are the
     groups that mirrored bodies explain as well."""
-    turned = [f for f in found if f.move.kind == "joint sign"]
-    if not turned or any("order" in f.move.kind or f.move.kind == "zero" for f in found):
-        return found
+    turned = [f for f in faults if f.move.kind == "joint sign"]
+    if not turned or any("order" in f.move.kind or f.move.kind == "zero" for f in faults):
+        return faults
     joints: Group = frozenset()
     for f in turned:
         joints = joints ^ frozenset(f.move.joints)
-    groups = invisible_groups(judge.robot, found[-1].move.after.gravity)
+    groups = invisible_groups(judge.robot, faults[-1].move.after.gravity)
     first, *others = (joint_sign(judge, start, sorted(g)) for g in alternatives(joints, groups))
     chosen = next((m for m in others if m.name in fixes), first)
     rivals = tuple(m for m in (first, *others) if m is not chosen)
     gain, last = sum(f.gain for f in turned), turned[-1]
     out = [FoundFault(chosen, turned[0].before, last.after, gain, last.blocks, rivals)]
     # The others follow from there.
-    for f in found:
+    for f in faults:
         if f not in turned:
             out.append(replace(f, move=replace(f.move, before=out[-1].move.after)))
     return out
@@ -204,14 +204,14 @@ def _best(
 
 
 def rms(errors: np.ndarray) -> np.ndarray:
-    """Of all blocks in which a joint moves; 1 where it never does."""
+    """RMS (n,) of errors (B, n) over the blocks in which a joint moves; 1 where it never does."""
     seen = np.isfinite(errors)
     mean = np.where(seen, errors, 0.0) ** 2
     return np.where(seen.any(0), np.sqrt(mean.sum(0) / np.maximum(seen.sum(0), 1)), 1.0)
 
 
 def percent(share: float) -> str:
-    """Of a torque's spread: `56 %`, `2.3 %`, the same wherever a log's examination says it."""
+    """A share of a torque's spread as a log's examination says it everywhere: `56 %`, `2.3 %`."""
     return f"{100 * share:.{int(share < 0.1)}f} %"
 
 

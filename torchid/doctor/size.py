@@ -74,20 +74,20 @@ def nominal_slopes(judge: Judge, hypothesis: Hypothesis) -> Slopes:
         if abs(values[0]) * x[:, 0].std() < 0.1 * y.std():
             continue
         left = torch.from_numpy(y - x @ values)
-        found = fit_statistics(torch.from_numpy(x), left, torch.from_numpy(owner))
-        low, high = found.interval(torch.from_numpy(values))[0].tolist()
+        fitted = fit_statistics(torch.from_numpy(x), left, torch.from_numpy(owner))
+        low, high = fitted.interval(torch.from_numpy(values))[0].tolist()
         rows.append((j, float(values[0]), low, high))
     table = np.array([r[1:] for r in rows]).reshape(-1, 3)
     return Slopes(tuple(r[0] for r in rows), *table.T)
 
 
 def other_moments(judge: Judge, hypothesis: Hypothesis, joints: Collection[int]) -> dict[int, str]:
-    """Of which of these joints the torque is as another component of the moment that the joint
-    passes on is, in the axes of its link's frame (`x`, `y`, `z`), beside friction; by joint from 0.
-    """
-    robot, found = judge.robot, dict[int, str]()
+    """Axes of other moments, by joint from 0: of the joints whose torque is as another component of
+    the moment that the joint passes on is, in the axes of its link's frame (`x`, `y`, `z`), beside
+    friction."""
+    robot, axes = judge.robot, dict[int, str]()
     if robot.parameters is None or not robot.parameters.pi.any():
-        return found
+        return axes
     q, dq, ddq, _ = judge.motion(hypothesis).unbind(-1)
     moments = joint_wrenches(robot, q, dq, ddq)[..., 3:].numpy()
     own, tau = judge.own(hypothesis).numpy(), judge.torque(hypothesis)
@@ -102,8 +102,8 @@ def other_moments(judge: Judge, hypothesis: Hypothesis, joints: Collection[int])
             size = abs(math.log(max(abs(slope), 1e-300)))
             # 0.9: cosine of the angle from a joint's axis from which a moment is its torque
             if abs(axis[k]) < 0.9 and left < TOLD and size < math.log(CAD_SIZE):
-                found[j] = name
-    return found
+                axes[j] = name
+    return axes
 
 
 def nominal_loss(judge: Judge, hypothesis: Hypothesis, size: float | None = None) -> float:
@@ -148,9 +148,9 @@ def check_size(
             gains=every if len(clear) == robot.n else "K1,K2,..",
         )
     if robot.parameters is not None and robot.parameters.pi.abs().sum() > 0:
-        found = _against_nominal(judge, hypothesis)
-        if found is not None:
-            return found
+        sizes = _against_nominal(judge, hypothesis)
+        if sizes is not None:
+            return sizes
     return _against_limits(judge, log, fixes) or _plain_sense(judge, log, hypothesis, fixes)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, worded_check
 from torchid.log.channels import odd_channels
-from torchid.log.checks import NO_TORQUE, least_way
+from torchid.log.checks import NO_TORQUE
 from torchid.statistics.spectrum import density
 from torchid.typing import Float, Tensor
 
@@ -34,7 +34,7 @@ def check_silent_runs(case: Case) -> Sequence[Check]:
     signal, log = case.torque, case.log
     if signal is None:
         return ()
-    varies, way = _span(signal) >= NO_TORQUE, least_way(log)
+    varies, way = _span(signal) >= NO_TORQUE, log.least_way
     for name, rows in zip(log.names, log.slices(), strict=True):
         moves = _span(log.q[rows]) > way
         silent = (varies & moves & (_span(signal[rows]) < NO_TORQUE)).nonzero().flatten().tolist()
@@ -150,8 +150,9 @@ def check_content(case: Case) -> Sequence[Check]:
     between every few samples."""
     if case.torque is None:
         return ()
-    rows = max(case.log.slices(), key=lambda r: r.stop - r.start)
-    rate, x = 1 / float(case.log.t[rows].diff().median()), case.torque[rows].numpy()
+    parts = zip(case.log.slices(), case.log.steps, strict=True)
+    rows, clock = max(parts, key=lambda p: p[0].stop - p[0].start)
+    rate, x = 1 / clock.median, case.torque[rows].numpy()
     x = x[:, np.ptp(x, 0) > 0]
     # Samples of which a spectrum is taken at least
     fewest = 256

@@ -21,14 +21,11 @@ from torchid.log.checks import (
     DEGREES,
     FOLLOWS,
     dead_velocities,
-    least_way,
     named_ratio,
     own_units,
-    velocity_agreement,
 )
 from torchid.log.filtering import central_difference, lateness
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.robot.model import joint_list
 from torchid.statistics.criteria import LATE_VELOCITY_S
 
@@ -115,7 +112,7 @@ def _exchanged(log: Log) -> tuple[tuple[int, ...], dict[int, str]]:
     a, q = (x / x.norm(dim=0).clamp(min=1e-300) for x in map(torch.cat, (moved, positions)))
     matrix = q.T @ a
     extent = log.q.amax(0) - log.q.amin(0)
-    alike = torch.where(extent[:, None] < least_way(log)[:, None], 0.0, matrix.abs())
+    alike = torch.where(extent[:, None] < log.least_way[:, None], 0.0, matrix.abs())
     best = linear_sum_assignment(-alike.numpy())[1].tolist()
     # 0.9: correlation of q with the integral of another joint's dq from which the two are taken for
     # one
@@ -134,7 +131,7 @@ def _exchanged(log: Log) -> tuple[tuple[int, ...], dict[int, str]]:
 def _velocity_factors(log: Log) -> tuple[list[float] | float, dict[int, str]]:
     """What dq must be multiplied by, a joint, and in words of which joints; one number where the
     clock may be wrong instead."""
-    records, factors = velocity_agreement(log), [1.0] * log.n
+    records, factors = log.agreements, [1.0] * log.n
     odd = [
         a
         for a in records
@@ -170,7 +167,7 @@ def _wrong_rate(ratio: float, n: int) -> tuple[Check, list[Choice]]:
 def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
     """Lag [s] of dq behind the derivative of q (the median over joints), the largest share of a
     moving joint's dq that is wrong, and the joints in which it is at least half as large."""
-    even = resample(log)
+    even = log.even
     sums = []
     for part, rate in zip(even.trajectories(), even.rates, strict=True):
         assert part.dq is not None
@@ -179,7 +176,7 @@ def velocity_lag(log: Log) -> tuple[float, float, tuple[int, ...]]:
         sums.append(lateness(slope, part.dq.T, rate, min(10.0, 0.3 * rate)))
     numerator, denominator, size, gap = torch.stack(sums).sum(0)
     extent = even.q.amax(0) - even.q.amin(0)
-    active = (size > 1e-3 * size.max()) & (extent > least_way(even))
+    active = (size > 1e-3 * size.max()) & (extent > even.least_way)
     if not bool(active.any()) or float(size.max()) == 0.0:
         return 0.0, 0.0, ()
     lag = float((numerator / denominator)[active].median())
@@ -231,7 +228,7 @@ def check_commands(case: Case) -> Sequence[Check]:
     log = case.log
     if log.u is None:
         return ()
-    step = float(torch.cat([log.t[rows].diff() for rows in log.slices()]).median())
+    step = float(np.median([steps.median for steps in log.steps]))
     # 0.02: a command that varies by less moves nothing [rad or m]
     joints = (log.u.amax(0) - log.u.amin(0) > 0.02).nonzero().flatten().tolist()
     if not joints or not step > 0:

@@ -69,7 +69,7 @@ class JointGeometry:
     axis: Vec3
 
     def position(self, q: Sequence[Tensor]) -> Tensor:
-        """Of the joint, from those of the coordinates."""
+        """Position of the joint [rad or m], from those of the coordinates."""
         own = q[self.coordinate]
         return own if self.ratio == 1.0 and self.offset == 0.0 else own * self.ratio + self.offset
 

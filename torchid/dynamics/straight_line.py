@@ -141,7 +141,7 @@ class _Recorder(TorchDispatchMode):
         return names
 
     def mirror(self, x: Any) -> Mirror:
-        """Of a tensor, made of its values where no input is in it."""
+        """The mirror of a tensor, made of its values where no input is in it."""
         if not isinstance(x, Tensor):
             return np.array(x, dtype=object)
         if id(x) not in self._mirrors:
@@ -513,7 +513,7 @@ def _squeeze(m: Mirror, dim: Any = None) -> Mirror:
 
 
 def _product(r: _Recorder, a: Any, b: Any) -> Mirror:
-    """Of matrices, or of one and a vector."""
+    """Product of two matrices, or of a matrix and a vector."""
     a, b = r.mirror(a), r.mirror(b)
     if b.ndim == 1:
         return _sum(r, _each(r, _multiply, a, b), -1)

@@ -281,7 +281,7 @@ class Effect(ABC):
 
     @property
     def law(self) -> str:
-        """Of its joint, whose details are several effects; empty of what is a cause by itself."""
+        """Name of the joint's law whose details are several effects; empty of a cause by itself."""
         return "friction" if self.branch == "friction" else "position" * self.over_position
 
     @property
@@ -451,7 +451,7 @@ class JointEffect(Effect):
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Its joint."""
+        """The joint that it acts on, as a tuple."""
         return (self.joint,)
 
     @property
@@ -462,11 +462,11 @@ class JointEffect(Effect):
     def columns_from(
         self, motion: Motion, state: Float[Tensor, "*batch"]
     ) -> Float[Tensor, "*batch T C"]:
-        """Of one with a memory: its `columns` from a state at the first instant."""
+        """Columns of an effect with a memory, from a state at the first instant."""
         raise NotImplementedError
 
     def after(self, motion: Motion, state: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-        """Of one with a memory: its state at the last instant."""
+        """State of an effect with a memory at the last instant."""
         raise NotImplementedError
 
     def columns(self, motion: Motion) -> Float[Tensor, "*batch C"]:

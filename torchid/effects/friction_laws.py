@@ -14,11 +14,8 @@ from torch import Tensor
 from torchid.digits import number
 from torchid.effects.base import Coefficient, Columns, Example, JointEffect, Motion, Shape
 from torchid.effects.c_text import add
+from torchid.log.movement import RESTING
 from torchid.typing import Float
-
-RESTING = 0.02
-"""|dq| below which a joint dwells [rad/s or m/s]: static friction then holds any torque up to the
-breakaway torque, and the sign of dq is noise."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ PIECE = 1.0
 
 
 class Gear(NamedTuple):
-    """Of one joint, for B gears at once.
+    """B gears of one joint.
 
     Attributes:
         stiffness: (B,) [N m/rad; N/m].

@@ -77,7 +77,7 @@ class PreslidingHysteresis(JointEffect):
     def columns_from(
         self, motion: Motion, state: Float[Tensor, "*batch"]
     ) -> Float[Tensor, "*batch T 1"]:
-        """The same on its joint, from bristles that stand somewhere."""
+        """Its column on its joint, from bristles that stand somewhere."""
         return self._own(motion, state)
 
     def after(self, motion: Motion, state: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -154,7 +154,7 @@ class LoadHysteresis(PreslidingHysteresis):
     def columns_from(
         self, motion: Motion, state: Float[Tensor, "*batch"]
     ) -> Float[Tensor, "*batch T 1"]:
-        """The same on its joint, from bristles that stand somewhere."""
+        """Its column on its joint, from bristles that stand somewhere."""
         return self._own(motion, state) * _load(motion)[..., self.joint, :]
 
     @classmethod

@@ -49,7 +49,7 @@ class BodyEffect(ModelEffect):
         return robot.n_links - 1
 
     def body(self, robot: Robot) -> int | None:
-        """Its link."""
+        """The link whose body it changes, from 0."""
         return self.link(robot)
 
     def torque_columns(self, motion: Motion, robot: Robot | None = None) -> Columns:

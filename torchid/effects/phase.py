@@ -233,8 +233,8 @@ class JointElasticity(OneJointEffect):
         return [replace(self, at=self.at * c, damping=d / (self.at * c)) for c, d in tried]
 
     def around(self, level: int, interval: float) -> "list[JointElasticity]":
-        """Of a link that swings compliances and dampings a little larger and smaller: by a tenth
-        and a third at 0, a third of that at 1, ..."""
+        """Neighbours of a link that swings: compliances and dampings a little larger and smaller,
+        by a tenth and a third at level 0, a third of that at 1, ..."""
         if self.damping == 0:
             return []
         fine = 3.0**-level

@@ -95,8 +95,8 @@ def _upper_stops(m: ServoMotion) -> Float[Tensor, "V n"]:
 
 
 def _clips(m: ServoMotion) -> Float[Tensor, "V n"]:
-    """Of the torque that the largest position errors would make, which of stiff servos is many
-    times their limit."""
+    """Limits that are tried first: shares of the torque that the largest position errors would
+    make, which of stiff servos is many times their limit."""
     return _shares(0.04, 0.1, 0.2, 0.4, 0.6, 0.8) * (m.u - m.q).abs().quantile(0.999, 0) * m.kp
 
 

@@ -206,7 +206,8 @@ class EndStop(JointEffect):
         return torch.stack((limits, torch.full_like(limits, self.towards)), -1)
 
     def at_an_end(self, motions: Sequence[Motion]) -> tuple[str, ...]:
-        """Its limit, where it would act on most of the travel: then it is a spring."""
+        """`limit` where it would act on most of the travel, for then it is a spring; else
+        nothing."""
         q = torch.cat([m.q[:, self.joint] for m in motions])
         most = float((self.towards * (q - self.limit) > 0).double().mean()) > 0.5
         return ("limit",) if most else ()

@@ -191,7 +191,7 @@ class Contact(ModelEffect):
 
     @property
     def span(self) -> tuple[float, float] | None:
-        """Its window, where it has both ends."""
+        """The contact's window [s], where it has both ends."""
         return None if self.start is None or self.stop is None else (self.start, self.stop)
 
     @property

@@ -34,7 +34,7 @@ class OneJointEffect(ModelEffect):
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Its joint."""
+        """The joint that it acts on, as a tuple."""
         return (self.joint,)
 
     @classmethod

@@ -359,8 +359,8 @@ def predicted_std(
     robot: Robot, prior: Prior, motions: Sequence[FourierTrajectory]
 ) -> Float[Tensor, " B"]:
     """Standard deviations (B,) after the log and these motions."""
-    told = (information(robot, prior, x, _times(prior, x.duration)) for x in motions)
-    return prior.inflation * _white_variance(prior, sum(told, torch.zeros(()))).sqrt()
+    informations = (information(robot, prior, x, _times(prior, x.duration)) for x in motions)
+    return prior.inflation * _white_variance(prior, sum(informations, torch.zeros(()))).sqrt()
 
 
 def information(

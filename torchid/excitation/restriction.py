@@ -51,7 +51,7 @@ class Restriction(ABC):
 
     @abstractmethod
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
-        """That even the best posture q breaks it."""
+        """The error that even the best posture q breaks the restriction."""
 
     def within(self, trajectory: Planned) -> Planned:
         """Each motion itself if it keeps the restriction at every instant, else the largest found
@@ -131,5 +131,5 @@ class AllOf(Restriction):
         return torch.stack([part.strain(q) for part in self.parts]).amax(0)
 
     def impossible(self, q: Float[Tensor, " n"]) -> RobotError:
-        """Of the part that is broken most."""
+        """The error of the part that posture q breaks most."""
         return max(self.parts, key=lambda part: float(part.strain(q.unsqueeze(0)))).impossible(q)

@@ -79,8 +79,8 @@ def random_trajectory(
     q0 = limits.middle + 0.2 * limits.half_range * uniform(*shape)
     raw = FourierTrajectory(a, b, q0, w_f, duration, ramp, limits.warnings)
     scale = largest_scale(raw, limits)
-    found = raw.scaled(scale if fill else scale.clamp(max=1.0))
-    return found if count is not None else found.select(0)
+    scaled = raw.scaled(scale if fill else scale.clamp(max=1.0))
+    return scaled if count is not None else scaled.select(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,17 +98,9 @@ def correct(
     robot.require_fixed_base("a correction")
     file_format(to)
     asked = CorrectionRequest(
-        robot,
-        log,
-        to,
-        Path(folder),
-        name,
-        held_out,
-        settings or GapSettings(),
-        with_effects,
-        keep,
-        plain,
-    )
+        robot=robot, log=log, to=to, folder=Path(folder), name=name, held_out=held_out,
+        settings=settings or GapSettings(), with_effects=with_effects, keep=keep, plain=plain,
+    )  # fmt: skip
     if isinstance(full, PositionDiagnosis | ServoArm):
         require_field(to, robot, log)
         return correct_positions(asked, full)

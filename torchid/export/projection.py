@@ -167,9 +167,11 @@ class Projector:
         self.price = max(0.0, found.error / least - 1)
         self.found, self.quadratic = found, without
 
-    def _matrix(self, fields: Sequence[Effect]) -> Float[Tensor, "K n N"]:
-        """Columns of the bodies and of the fields."""
-        own = [self.columns.on_all_joints(field) for field in fields]
+    def _matrix(
+        self, fields: Sequence[Effect], columns: Columns | None = None
+    ) -> Float[Tensor, "K n N"]:
+        """Columns of the bodies and of the fields, at the diagnosed model if at no other."""
+        own = [(columns or self.columns).on_all_joints(field) for field in fields]
         return torch.cat([self.columns.regressor.flatten(0, 1), *own])
 
     def _quadratic(
@@ -177,11 +179,12 @@ class Projector:
         fields: Sequence[Effect],
         fitted: Bool[Tensor, " N"],
         torque: Float[Tensor, "n N"] | None = None,
+        columns: Columns | None = None,
     ) -> Quadratic:
-        """Squared error of the measured torque, or of another one."""
+        """Squared error of the measured torque, or of another one; columns as in `_matrix`."""
         weight = self.weight * fitted
         y = ((self.torque if torque is None else torque) * weight).flatten()
-        a = (self._matrix(fields) * weight).flatten(1)
+        a = (self._matrix(fields, columns) * weight).flatten(1)
         return Quadratic(a @ a.T, a @ y, float(y @ y), self._signs(fields))
 
     def _signs(self, fields: Sequence[Effect]) -> Float[Tensor, "C E"]:
@@ -237,9 +240,12 @@ class Projector:
         own = [f for f in straight if not isinstance(f, JointSpring) or f.joints not in at]
         fields = [*own, *dict.fromkeys(others)]
         true = undone(self.full, sensed, self.torque.T.unsqueeze(0))[0][0].T
-        torque = self._quadratic(fields, fitted, true)
-        found = nearest_bodies(torque, self.room, strength=self.found.strength)
-        robot = self._robot(fields, found)
+        torque, strength = self._quadratic(fields, fitted, true), self.found.strength
+        robot = self._robot(fields, nearest_bodies(torque, self.room, strength=strength))
+        # Loads of these bodies are others than those of the diagnosed ones.
+        loads = self.columns.at(Model.of(robot))
+        torque = self._quadratic(fields, fitted, true, loads)
+        robot = self._robot(fields, nearest_bodies(torque, self.room, strength=strength))
         return replace(robot, effects=(*robot.effects, *records(sensed)))
 
     def _has_field(self, effect: Effect, values: Sequence[float]) -> bool:

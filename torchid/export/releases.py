@@ -46,12 +46,13 @@ FIELDS = {
     ),
     "springyield": Field(
         "friction before sliding, with a sharp edge", "joint `springyield`",
-        "the sidecar; torchid writes it nowhere: its own law is Dahl's",
+        "nothing: no law of torchid is like it (its own is Dahl's, without an edge)",
         joint="stiffness='10' springyield='0.01'",
     ),
     "dcmotor": Field(
-        "Dahl's friction (LuGre), cogging, a motor's heat", '`<dcmotor input="none">`',
-        "the sidecar; torchid does not write it yet",
+        "Dahl's friction (presliding hysteresis) and cogging, as torchid's laws are",
+        '`<dcmotor input="none" lugre cogging>`',
+        "the sidecar, which torchid adds at run time; not written yet",
         actuator="<dcmotor joint='j' input='none' resistance='1' motorconst='0' "
         "lugre='1000 1 .1 .2 .1' cogging='.1 3 0'/>",
     ),

@@ -276,33 +276,33 @@ def nearest_bodies(
         error = torque.error(x)
         return NearBodies(x[: 10 * n].view(n, 10), x[10 * n :], error, error, near.strength)
     x = question.start
-    found: list[tuple[float, Tensor]] = []
+    minima: list[tuple[float, Tensor]] = []
     for value in _PATH.tolist():
         # In units of what was last left, which comes down to the least.
         x = question.about(x).minimum(x, value)
-        found.append((value, x))
+        minima.append((value, x))
         if strength is not None and value <= strength:
             break
-    errors = [torque.error(x) for _, x in found]
-    k = len(found) - 1
+    errors = [torque.error(x) for _, x in minima]
+    k = len(minima) - 1
     if strength is None:
         k = next(i for i, e in enumerate(errors) if e <= (1 + spent) * min(errors))
-    pi, coefficients = found[k][1][: 10 * n].view(n, 10), found[k][1][10 * n :]
-    return NearBodies(pi, coefficients, errors[k], min(errors), found[k][0])
+    pi, coefficients = minima[k][1][: 10 * n].view(n, 10), minima[k][1][10 * n :]
+    return NearBodies(pi, coefficients, errors[k], min(errors), minima[k][0])
 
 
 def response(
-    torque: Quadratic, room: Room, found: NearBodies, pull: Float[Tensor, " K"]
+    torque: Quadratic, room: Room, bodies: NearBodies, pull: Float[Tensor, " K"]
 ) -> Float[Tensor, " K"]:
     """What further torque would add to the answer, to first order.
 
     Args:
-        torque, room, found: the question and its answer.
+        torque, room, bodies: the question and its answer.
         pull: (K,) A'z of a small torque z.
     """
-    x = torch.cat([found.pi.flatten(), found.coefficients])
+    x = torch.cat([bodies.pi.flatten(), bodies.coefficients])
     question = _Question.of(torque, room).about(x)
-    _, hessian = question.slopes(x, found.strength)
+    _, hessian = question.slopes(x, bodies.strength)
     return _solved(hessian, pull / question.unit)
 
 

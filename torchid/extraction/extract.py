@@ -168,7 +168,7 @@ def _advanced(block: _Block) -> SearchState:
     # 1e-3: step size with which a stage begins at least: the minimum has moved, and a search that
     # has converged on the old one would be stuck there
     sigma = block.state.sigma.clamp(min=1e-3)
-    found = minimise(
+    state = minimise(
         loss,
         replace(block.state, sigma=sigma).to(block.device),
         generations=settings.generations,
@@ -176,7 +176,7 @@ def _advanced(block: _Block) -> SearchState:
         population=settings.population,
         first=block.first,
     )
-    return found.to("cpu")
+    return state.to("cpu")
 
 
 def _finished(job: tuple[Problem, Float[Tensor, "R D"], bool]) -> Float[Tensor, "R D"]:

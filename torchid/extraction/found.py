@@ -206,16 +206,16 @@ def best_set(
     return judged(problem, "sdp", proof.sets, proof.seconds, proof=proof)
 
 
-def at_bounds(found: Found) -> list[str]:
+def at_bounds(extraction: Found) -> list[str]:
     """Parameters of the best set that lie on their bounds, e.g. m3 (upper). That masses and moments
     of inertia are not below 0 is physics, and no bound."""
-    problem = found.problem
+    problem = extraction.problem
     n = problem.n
-    own = found.sets.search_vector[found.best]
+    own = extraction.sets.search_vector[extraction.best]
     low, high = problem.box.unbind(-1)
     # 1e-4: share of a bound's span within which a parameter counts as lying on it, of searches that
     # reach it
-    near = (AT_A_WALL if found.method == "near" else 1e-4) * (high - low)
+    near = (AT_A_WALL if extraction.method == "near" else 1e-4) * (high - low)
     physics = torch.zeros_like(low, dtype=torch.bool)
     physics[:n] = True
     physics[4 * n : 10 * n].view(n, 6)[:, [0, 3, 5]] = True
@@ -223,6 +223,6 @@ def at_bounds(found: Found) -> list[str]:
     lower, upper = ((own - low < near) & ~physics).tolist(), (high - own < near).tolist()
     return [
         f"{name} ({'lower' if below else 'upper'})"
-        for name, below, above in zip(search_names(found.sets), lower, upper, strict=True)
+        for name, below, above in zip(search_names(extraction.sets), lower, upper, strict=True)
         if below or above
     ]

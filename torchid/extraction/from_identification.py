@@ -58,8 +58,8 @@ def problem_of(
     """
     robot = as_robot(robot)
     robot.require_fixed_base("the extraction of bodies")
-    found = identified_base(result) if isinstance(result, Identification) else result
-    effects = plain_effects(found.effects, "an extraction")
+    base = identified_base(result) if isinstance(result, Identification) else result
+    effects = plain_effects(base.effects, "an extraction")
     has_normal = "normal" in bounds_groups(robot)
     derived = WIDE if robot.parameters is None else NAME
     group = bounds or ("normal" if has_normal else derived)
@@ -70,23 +70,23 @@ def problem_of(
             f"'{robot.name}' has neither bounds nor inertial parameters: bodies are sought within "
             'what links of its size can be (`bounds="wide"`)'
         )
-    limits, added = with_coefficient_bounds(limits, found.base, effects, found.values)
+    limits, added = with_coefficient_bounds(limits, base.base, effects, base.values)
     if added:
         notes.append(f"bounds of {', '.join(added)}: within twice the identified sizes")
     if loss is None:
         # Coefficients count alike whatever their torque, which bounds of known bodies alone allow.
-        loose = group in (WIDE, NONE) and found.factor is not None
+        loose = group in (WIDE, NONE) and base.factor is not None
         loss = "one-step" if loose else "two-step"
     if loss == "two-step":
-        target = two_step(found.base, effects, found.values, found.known)
-    elif found.factor is None:
+        target = two_step(base.base, effects, base.values, base.known)
+    elif base.factor is None:
         raise TorchidError(
             "the one-step loss needs a log.",
             got="the robot's nominal parameters",
             expected="an identification: the JSON of `torchid identify`",
         )
     else:
-        target = one_step(found.base, effects, found.values, found.factor)
+        target = one_step(base.base, effects, base.values, base.factor)
     if geometry is None:
         # The robot's own boxes where it has some: `conditions` finds them.
         box = None if has_normal else limits.com
@@ -95,9 +95,9 @@ def problem_of(
         box = physics_only(robot.n_links).com_box if none else read_bounds(robot, geometry).com
     asked = conditions(robot, com_box=box, shapes=shapes, total_mass=total_mass)
     # A set that is found is as sure as the base parameters that it is for.
-    problem = extraction_problem(replace(robot, knowledge=found.knowledge), target, limits, asked)
-    if not bool(found.known.any()):
+    problem = extraction_problem(replace(robot, knowledge=base.knowledge), target, limits, asked)
+    if not bool(base.known.any()):
         raise TorchidError("the identification determined no base parameter: nothing to reproduce.")
-    if unknown := found.base.named(~found.known):
+    if unknown := base.base.named(~base.known):
         notes.append(f"not determined by the log: {', '.join(unknown)}")
     return problem, tuple(notes)

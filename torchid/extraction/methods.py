@@ -94,12 +94,12 @@ def near_set(problem: Problem, *, proof: Certificate | None = None) -> Found:
         for share in SHARES
     ]
     enough = (1 + SPENT_SHARE) * max(tried[-1].least, (EXACT_SHARE * square) ** 0.5)
-    found = next(one for one in tried if one.least <= enough or one is tried[-1])
+    best = next(one for one in tried if one.least <= enough or one is tried[-1])
     sets = ParameterSets(
         ("near",),
-        InertialParameters(found.pi.unsqueeze(0)),
+        InertialParameters(best.pi.unsqueeze(0)),
         target.effects,
-        found.coefficients.unsqueeze(0),
+        best.coefficients.unsqueeze(0),
     )
     return judged(problem, "near", sets, time.perf_counter() - began, proof=proof)
 
@@ -139,18 +139,18 @@ def found_by(
 
     if settings.penalty == "full" and not search_anyway:
         require_possible(problem)
-    proof, told = None, tuple[str, ...]()
+    proof, notes = None, tuple[str, ...]()
     if certificate or method == "sdp":
         running("the certificate")
-        proof, told = certificate_where_possible(problem)
+        proof, notes = certificate_where_possible(problem)
     if method == "sdp":
         running("the best set")
-        found = best_set(problem, proof=proof, search_anyway=search_anyway)
+        extraction = best_set(problem, proof=proof, search_anyway=search_anyway)
     elif method == "near":
         running("the nearest bodies")
-        found = near_set(problem, proof=proof)
+        extraction = near_set(problem, proof=proof)
     else:
-        found = extract(
+        extraction = extract(
             problem, settings, device=device, workers=workers, report=stage(progress, "stages"),
         ).found  # fmt: skip
-    return replace(found, proof=proof, warnings=(*told, *found.warnings))
+    return replace(extraction, proof=proof, warnings=(*notes, *extraction.warnings))

@@ -59,28 +59,28 @@ def asked_about(params: str, robot: str | None, choice: Choice) -> SetsToCheck:
                 expected="a .json of parameter sets, or a robot",
             )
         if robot is None:
-            found = named_robot(Path(params), read_json(Path(params), "parameter sets"), choice)
+            named = named_robot(Path(params), read_json(Path(params), "parameter sets"), choice)
         else:
-            found = load_robot(robot, **choice.options)
-        sets = read_sets(Path(params), found)
-        noticed = other_robot(Path(params), found)
-        others = read_other_effects(Path(params), found)
-        return SetsToCheck(found, sets, others, (), () if noticed is None else (noticed,))
-    own, found = load_both(params, robot, choice)
-    nominal_effects(found)  # known, complete and in range, though they do not count here
-    if own.n_links != found.n_links:
+            named = load_robot(robot, **choice.options)
+        sets = read_sets(Path(params), named)
+        noticed = other_robot(Path(params), named)
+        others = read_other_effects(Path(params), named)
+        return SetsToCheck(named, sets, others, (), () if noticed is None else (noticed,))
+    own, named = load_both(params, robot, choice)
+    nominal_effects(named)  # known, complete and in range, though they do not count here
+    if own.n_links != named.n_links:
         raise TorchidError(
-            f"'{own.name}' and the robot '{found.name}' have different numbers of links.",
+            f"'{own.name}' and the robot '{named.name}' have different numbers of links.",
             got=own.n_links,
-            expected=found.n_links,
+            expected=named.n_links,
         )
     also = nominal_findings(own)
     # The parameters' link frames need not be those of the robot that counts.
-    apart = [str(i + 1) for i, d in enumerate(own.frames_apart(found).tolist()) if d > 1e-6]
+    apart = [str(i + 1) for i, d in enumerate(own.frames_apart(named).tolist()) if d > 1e-6]
     differ = (
-        f"'{own.name}' and '{found.name}' place the frames of links {', '.join(apart)} "
+        f"'{own.name}' and '{named.name}' place the frames of links {', '.join(apart)} "
         "differently: boxes of centres of mass, shapes and the torque may not be meant for these "
         "parameters"
     )
-    told = (differ,) if apart else ()
-    return SetsToCheck(found, nominal_set(own), nominal_others(own), also, told)
+    notes = (differ,) if apart else ()
+    return SetsToCheck(named, nominal_set(own), nominal_others(own), also, notes)

@@ -84,9 +84,9 @@ def read_bounds(robot: Robot, group: str) -> Bounds:
     n = robot.n_links
     shapes = {"mass": (n,), "com": (n, 3), "inertia": (n, 6)}
     known = {key: (n,) for key in COEFFICIENT_KEYS if key in data["lower"] or key in data["upper"]}
-    found = {key: _pair(data, key, shape, where) for key, shape in {**shapes, **known}.items()}
-    coefficients = {COEFFICIENT_KEYS[key]: found[key] for key in known}
-    return Bounds(group, found["mass"], found["com"], found["inertia"], coefficients)
+    given = {key: _pair(data, key, shape, where) for key, shape in {**shapes, **known}.items()}
+    coefficients = {COEFFICIENT_KEYS[key]: given[key] for key in known}
+    return Bounds(group, given["mass"], given["com"], given["inertia"], coefficients)
 
 
 def read_total_mass(robot: Robot) -> tuple[float, float] | None:

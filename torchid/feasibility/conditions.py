@@ -90,19 +90,19 @@ def conditions(
     if total_mass is not None and not total_mass[0] < total_mass[1]:
         raise RobotError("the interval of the total mass is empty.", got=list(total_mass))
     total = none.total_mass if total_mass is None else torch.tensor(total_mass, dtype=box.dtype)
-    found = replace(none, com_box=box, total_mass=total)
+    asked = replace(none, com_box=box, total_mass=total)
     if shapes:
-        _add_round_shapes(robot, found)
-    return found
+        _add_round_shapes(robot, asked)
+    return asked
 
 
-def _add_round_shapes(robot: Robot, found: Conditions) -> None:
+def _add_round_shapes(robot: Robot, asked: Conditions) -> None:
     """Fill in the cylinders and spheres of the robot's yaml."""
     n, centre, axes, radius = (
         robot.n_links,
-        found.round_centre,
-        found.round_axes,
-        found.round_radius,
+        asked.round_centre,
+        asked.round_axes,
+        asked.round_radius,
     )
     geometry = robot.bounds.get("geometry")
     where = f"robot '{robot.name}': bounds geometry"
@@ -119,12 +119,12 @@ def _add_round_shapes(robot: Robot, found: Conditions) -> None:
             if not bool((values > 0).all()):
                 raise RobotError(f"{where}: {key} must be positive.", got=geometry[key])
             tables.append(values)
-        if not torch.isfinite(found.com_box).all():
+        if not torch.isfinite(asked.com_box).all():
             raise RobotError(f"{where}: cylinders by length need the boxes of the centres of mass.")
-        low, high = found.com_box.unbind(-1)
+        low, high = asked.com_box.unbind(-1)
         axes.fill_(1.0)
         axes[torch.arange(n), (high - low - tables[1].unsqueeze(-1)).abs().argmin(-1)] = 0.0
-        centre.copy_(found.com_box.mean(-1))
+        centre.copy_(asked.com_box.mean(-1))
         radius.copy_(tables[0])
     for key, default in (("cylinders", None), ("spheres", "all")):
         entries = geometry.get(key, [])

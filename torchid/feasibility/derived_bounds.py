@@ -188,9 +188,9 @@ def bounds_notes(robot: Robot, bounds: Bounds, shapes: LinkShapes | None = None)
         bounds: derived from it.
         shapes: as given to `derive_bounds`.
     """
-    found = link_shapes(robot) if shapes is None else shapes
-    known = (False,) * robot.n_links if found is None else found.known
-    notes = [] if found is None else list(found.warnings)
+    own = link_shapes(robot) if shapes is None else shapes
+    known = (False,) * robot.n_links if own is None else own.known
+    notes = [] if own is None else list(own.warnings)
     without = [str(i) for i, k in enumerate(known, start=1) if not k]
     if without:
         many = len(without) > 1

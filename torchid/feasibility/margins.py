@@ -79,17 +79,17 @@ class Feasibility:
     def reasons(self, k: int) -> tuple[str, ...]:
         """Why set k is infeasible, named as the report's tables do: inertia_3, com_7z, mass_2,
         shape_1, total_mass, Fv_6. Empty if it is feasible."""
-        found = []
+        names = []
         for link, row in enumerate(self.violated[k].tolist(), start=1):
             mass, eigenvalue, triangle, *com, shape = row
-            found += [f"mass_{link}"] if mass else []
-            found += [f"inertia_{link}"] if eigenvalue or triangle else []
-            found += [f"com_{link}{axis}" for axis, out in zip("xyz", com, strict=True) if out]
-            found += [f"shape_{link}"] if shape else []
-        found += ["total_mass"] if bool(self.violated_total[k]) else []
+            names += [f"mass_{link}"] if mass else []
+            names += [f"inertia_{link}"] if eigenvalue or triangle else []
+            names += [f"com_{link}{axis}" for axis, out in zip("xyz", com, strict=True) if out]
+            names += [f"shape_{link}"] if shape else []
+        names += ["total_mass"] if bool(self.violated_total[k]) else []
         out = self.violated_coefficients[k].tolist()
-        found += [n for n, bad in zip(self.coefficient_reasons, out, strict=True) if bad]
-        return tuple(found)
+        names += [n for n, bad in zip(self.coefficient_reasons, out, strict=True) if bad]
+        return tuple(names)
 
     def inertia_violation(self, k: int, link: int) -> str | None:
         """How link `link` (from 0) of set k violates inertia: `eigenvalue` (not positive

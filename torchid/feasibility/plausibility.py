@@ -64,7 +64,7 @@ class Finding:
 def own_inertial_findings(inertials: tuple[OwnInertial, ...]) -> tuple[Finding, ...]:
     """The <inertial> elements of a URDF that no body has and that a link's own check does not see:
     those merged with others, of the base, or off the chain. No mass and no inertia is none."""
-    found = []
+    findings = []
     for own in inertials:
         wrong = None if own.alone else _not_a_body(own)
         if wrong is None:
@@ -73,8 +73,8 @@ def own_inertial_findings(inertials: tuple[OwnInertial, ...]) -> tuple[Finding, 
         link = None if own.moving_link is None else own.moving_link + 1
         where = "not part of a moving link" if link is None else f"merged into link {link}"
         sentence = f"the <inertial> of '{own.link}' ({where}) {said}"
-        found.append(Finding(link, what, value, 0.0, sentence, own.link))
-    return tuple(found)
+        findings.append(Finding(link, what, value, 0.0, sentence, own.link))
+    return tuple(findings)
 
 
 def _not_a_body(own: OwnInertial) -> tuple[str, float, str] | None:
@@ -118,7 +118,7 @@ def each(mask: Tensor) -> list[list[int]]:
     return mask.nonzero().tolist()
 
 
-def add_bounds(found: list[list[Finding]], sets: ParameterSets, bounds: Bounds) -> None:
+def add_bounds(findings: list[list[Finding]], sets: ParameterSets, bounds: Bounds) -> None:
     """Search variables on or outside their bounds."""
     values = sets.search_vector
     low, high = bounds.box(sets.effects).to(values).unbind(-1)
@@ -136,7 +136,7 @@ def add_bounds(found: list[list[Finding]], sets: ParameterSets, bounds: Bounds) 
         # Masses, centres of mass, inertias: one, three and six a link.
         own = (i, (i - n) // 3, (i - 4 * n) // 6)[(i >= n) + (i >= 4 * n)]
         link = None if i >= 10 * n else own + 1
-        found[k].append(Finding(link, "bound", value, limit, sentence))
+        findings[k].append(Finding(link, "bound", value, limit, sentence))
 
 
 def search_names(sets: ParameterSets) -> list[str]:
@@ -152,7 +152,7 @@ def search_names(sets: ParameterSets) -> list[str]:
 
 
 def add_gravity_loads(
-    found: list[list[Finding]], parameters: InertialParameters, robot: Robot, seed: int
+    findings: list[list[Finding]], parameters: InertialParameters, robot: Robot, seed: int
 ) -> None:
     """Torque limits below what holds the arm's own weight in one of many random poses."""
     limits = robot.limits.torque
@@ -169,7 +169,7 @@ def add_gravity_loads(
     strongest = limits.abs().amax(-1)
     # Sets at a time whose weight is held
     at_once = 64
-    for first in range(0, len(found), at_once):
+    for first in range(0, len(findings), at_once):
         pi = parameters.pi[first : first + at_once].detach().cpu().double()
         torque = gravity_torque(robot, q.unsqueeze(1), InertialParameters(pi)).abs().amax(0)
         for k, joint in each((torque > strongest) & (strongest > 0)):
@@ -179,7 +179,7 @@ def add_gravity_loads(
                 f"its limit is {limit:.3g}"
             )
             one = Finding(joint + 1, "gravity_load", needed / limit, 1.0, sentence)
-            found[first + k].append(one)
+            findings[first + k].append(one)
 
 
 LEAD = 12000.0
@@ -238,19 +238,19 @@ def plausibility(
         bounds: the sets were searched in; nothing is said of bounds if None.
         seed: of the poses in which the arm's weight is held.
     """
-    found: list[list[Finding]] = [[] for _ in sets.ids]
+    findings: list[list[Finding]] = [[] for _ in sets.ids]
     own = bodies(sets.parameters)
-    _densities(found, own, sets.parameters.mass, shapes)
-    _sizes(found, own, sets.parameters, robot, shapes)
-    _distances(found, sets.parameters, robot, shapes)
+    _densities(findings, own, sets.parameters.mass, shapes)
+    _sizes(findings, own, sets.parameters, robot, shapes)
+    _distances(findings, sets.parameters, robot, shapes)
     if bounds is not None:
-        add_bounds(found, sets, bounds)
-    add_gravity_loads(found, sets.parameters, robot, seed)
-    return tuple(tuple(one) for one in found)
+        add_bounds(findings, sets, bounds)
+    add_gravity_loads(findings, sets.parameters, robot, seed)
+    return tuple(tuple(one) for one in findings)
 
 
 def _densities(
-    found: list[list[Finding]], own: Bodies, mass: Tensor, shapes: LinkShapes | None
+    findings: list[list[Finding]], own: Bodies, mass: Tensor, shapes: LinkShapes | None
 ) -> None:
     kinds = [("density", own.density, "its inertia is that of a body")]
     if shapes is not None:
@@ -263,11 +263,11 @@ def _densities(
             value = float(density[k, link])
             said = f"link {link + 1}: {words} of {value:.3g} kg/m^3"
             limit, than = (low, "less than wood") if value < low else (high, "more than lead")
-            found[k].append(Finding(link + 1, what, value, limit, f"{said}, {than}"))
+            findings[k].append(Finding(link + 1, what, value, limit, f"{said}, {than}"))
 
 
 def _sizes(
-    found: list[list[Finding]],
+    findings: list[list[Finding]],
     own: Bodies,
     parameters: InertialParameters,
     robot: Robot,
@@ -291,7 +291,7 @@ def _sizes(
             f"link {link + 1}: its inertia spreads its matter {1e3 * value:.0f} mm (rms) along "
             f"{_AXES[axis]}; no body in its box spreads more than {1e3 * limit:.0f} mm"
         )
-        found[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
+        findings[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
     # Semi-axes of links without a known box that are longer than it is from the CoM to the further
     # of the link's joints and a link's length beyond.
     unknown = torch.isnan(boxes).any(-1).any(-1)
@@ -304,11 +304,11 @@ def _sizes(
             f"link {link + 1}: the ellipsoid of its inertia reaches {1e3 * value:.0f} mm from its "
             f"centre of mass; going by its joints, the link ends within {1e3 * limit:.0f} mm"
         )
-        found[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
+        findings[k].append(Finding(link + 1, "inertia_size", value, limit, sentence))
 
 
 def _distances(
-    found: list[list[Finding]],
+    findings: list[list[Finding]],
     parameters: InertialParameters,
     robot: Robot,
     shapes: LinkShapes | None,
@@ -331,4 +331,4 @@ def _distances(
         sentence = f"link {link + 1}: its centre of mass is {1e3 * value:.3g} mm outside {of}"
         if limit:
             sentence = f"{sentence}, and the link is about {1e3 * limit:.0f} mm long"
-        found[k].append(Finding(link + 1, "com_distance", value, limit, sentence))
+        findings[k].append(Finding(link + 1, "com_distance", value, limit, sentence))

@@ -276,7 +276,7 @@ def check_sets(
     box, words = _com_boxes(robot, geometry, shapes)
     asked = conditions(robot, com_box=box, shapes=round_shapes, total_mass=total_mass)
     verdicts = feasibility(sets, asked)
-    found = plausibility(robot, sets, shapes=shapes, bounds=bounds, seed=seed)
+    findings = plausibility(robot, sets, shapes=shapes, bounds=bounds, seed=seed)
     said = [w for w in robot.warnings if "physically consistent" not in w]
     return Check(
         robot=robot,
@@ -287,7 +287,7 @@ def check_sets(
         feasibility=verdicts,
         eigenvalues=inertia_eigenvalues(sets.parameters),
         bodies=bodies(sets.parameters),
-        findings=tuple((*also, *shape_findings(robot, shapes), *one) for one in found),
+        findings=tuple((*also, *shape_findings(robot, shapes), *one) for one in findings),
         warnings=(*said, *(() if shapes is None else shapes.warnings)),
     )
 
@@ -310,16 +310,16 @@ def _com_boxes(
 
 
 def _set(check: Check, k: int) -> SetVerdict:
-    found = check.feasibility
-    margins = (found.margins[k], found.total_mass[k], found.coefficients[k])
-    degrees = (found.degrees[k], found.total_mass_degree[k], found.coefficient_degrees[k])
+    judged = check.feasibility
+    margins = (judged.margins[k], judged.total_mass[k], judged.coefficients[k])
+    degrees = (judged.degrees[k], judged.total_mass_degree[k], judged.coefficient_degrees[k])
     return SetVerdict(
         id=check.sets.ids[k],
-        feasible=bool(found.feasible[k]),
-        reasons=found.reasons(k),
-        margins=_named(*margins, found.coefficient_reasons),
-        degree=float(found.degree[k]),
-        degrees=_named(*degrees, found.coefficient_reasons),
+        feasible=bool(judged.feasible[k]),
+        reasons=judged.reasons(k),
+        margins=_named(*margins, judged.coefficient_reasons),
+        degree=float(judged.degree[k]),
+        degrees=_named(*degrees, judged.coefficient_reasons),
         total_mass=float(check.sets.parameters.mass[k].sum()),
         links=tuple(_link(check, k, i) for i in range(check.robot.n_links)),
         plausibility=check.findings[k],
@@ -343,9 +343,9 @@ def _named(links: Tensor, total: Tensor, coefficients: Tensor, names: Sequence[s
 
 
 def _link(check: Check, k: int, i: int) -> LinkVerdict:
-    found = check.feasibility
-    _, _, triangle, *com, shape = found.margins[k, i].tolist()
-    degrees = zip(LINK_CONDITIONS, found.degrees[k, i].tolist(), strict=True)
+    judged = check.feasibility
+    _, _, triangle, *com, shape = judged.margins[k, i].tolist()
+    degrees = zip(LINK_CONDITIONS, judged.degrees[k, i].tolist(), strict=True)
     eigenvalues = check.eigenvalues[k, i]
     return LinkVerdict(
         link=i,
@@ -353,7 +353,7 @@ def _link(check: Check, k: int, i: int) -> LinkVerdict:
         mass=float(check.sets.parameters.mass[k, i]),
         com=check.sets.parameters.com[k, i],
         inertia_eigenvalues=eigenvalues,
-        violation=found.inertia_violation(k, i),
+        violation=judged.inertia_violation(k, i),
         triangle_margin=triangle,
         triangle_excess_percent=excess_percent(eigenvalues.tolist()),
         com_margins=tuple(com),

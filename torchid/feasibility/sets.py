@@ -415,8 +415,8 @@ def read_sets_knowledge(path: Path, robot: Robot) -> Knowledge | None:
     Raises:
         RobotError: knowledge of another robot, or damaged.
     """
-    found = _file(path).knowledge
-    return None if not found else from_mapping(found, robot.n_links, str(path))
+    knowledge = _file(path).knowledge
+    return None if not knowledge else from_mapping(knowledge, robot.n_links, str(path))
 
 
 def other_robot(path: Path, robot: Robot) -> str | None:

@@ -273,7 +273,8 @@ def _finding(
     words: str,
     place: Sequence[int] | None = None,
 ) -> Finding:
-    """Of links of these names, each merged into the moving link of its `place`, or one itself."""
+    """What is found of links by these names, each merged into the moving link of its `place`, or
+    one itself."""
     numbers = [link for (link,) in each(links)]
     # 6: links that are named in a sentence
     who = listed((f"'{names[k]}'" for k in numbers), most=6)

@@ -12,15 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from msgspec import UNSET, UnsetType
 
 from torchid.errors import TorchidError
-from torchid.fleet.comparison import ComparedParameter, Comparison, Kind, Verdict
+from torchid.fleet.comparison import (
+    ComparedParameter,
+    Comparison,
+    Kind,
+    PositionErrors,
+    Verdict,
+)
 from torchid.fleet.estimates import Estimates, of_diagnoses, of_identifications, of_sets
+from torchid.fleet.servo_estimates import errors_on, of_positions
 from torchid.fleet.torque import common_motion, torque_spread
-from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.identification.result import Identification
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
+from torchid.results.answer import Diagnosis
 from torchid.results.files import read
 from torchid.robot.library import named_robot
 from torchid.robot.model import Robot
@@ -31,6 +39,7 @@ from torchid.statistics.random_effects import Sessions, heterogeneity, intervals
 KINDS: dict[str, Kind] = {
     "torchid.identification/1": "identifications",
     "torchid.gap/2": "gap diagnoses",
+    "torchid.position_gap/1": "position diagnoses",
     "torchid.parameter_sets/1": "parameter sets",
 }
 
@@ -56,7 +65,7 @@ class Given:
 
 
 def compare_results(
-    results: Sequence[str | Path | Identification | TorqueDiagnosis],
+    results: Sequence[str | Path | Identification | Diagnosis],
     *,
     robot: RobotLike | None = None,
     on: LogLike | None = None,
@@ -69,7 +78,8 @@ def compare_results(
         results: two or more: identifications or diagnoses, or files of them (identification.json,
             gap.json) or of parameter sets (sets.json); all of one kind.
         robot: for the torque, where files do not record it.
-        on: a log along whose motion the torques are compared; random motion if None.
+        on: a log along whose motion the torques are compared (random motion if None), or, of
+            diagnoses of positions, the positions.
         seed: of random motion.
 
     Raises:
@@ -92,7 +102,7 @@ def compare_results(
     return compared(given, arm, on=None if on is None else as_log(on, arm), seed=seed)
 
 
-def read_results(given: Sequence[str | Path | Identification | TorqueDiagnosis]) -> list[Given]:
+def read_results(given: Sequence[str | Path | Identification | Diagnosis]) -> list[Given]:
     """Results of one kind, files or objects, in the order given.
 
     Raises:
@@ -142,6 +152,8 @@ def common_robot(results: Sequence[Given], choice: Choice | None = None) -> Robo
     Raises:
         TorchidError: files of sets that name different robots, or one that is not where it was.
     """
+    if results[0].kind == "position diagnoses":
+        return None
     if results[0].kind != "parameter sets":
         return next((r.record.model for r in results if r.record.model is not None), None)
     names = list(dict.fromkeys(str(r.record.robot) for r in results))
@@ -156,15 +168,24 @@ def compared(
     """As `compare_results`, of results that were read."""
     kind = results[0].kind
     if robot is None and (on is not None or kind == "parameter sets"):
-        raise TorchidError("torque needs the robot.", expected="`robot=...`")
-    if kind == "identifications":
+        what = "a replay" if kind == "position diagnoses" else "torque"
+        raise TorchidError(f"{what} needs the robot.", expected="`robot=...`")
+    positions: PositionErrors | UnsetType = UNSET
+    if kind == "position diagnoses":
+        records = {r.label: r.record for r in results}
+        found = of_positions(records)
+        if robot is not None and on is not None:
+            positions = errors_on(records, robot, on)
+    elif kind == "identifications":
         found = of_identifications({r.label: r.record for r in results}, robot)
     elif kind == "parameter sets" and robot is not None:
         found = of_sets({r.label: r.path for r in results}, robot)
     else:
         found = of_diagnoses({r.label: r.record for r in results})
     torque, notes = None, list(found.notes)
-    if robot is not None and found.models:
+    if kind == "position diagnoses":
+        pass
+    elif robot is not None and found.models:
         motion = common_motion(robot, on, seed, found.cutoff, found.reversal)
         torque = torque_spread(found.models, motion, found.claims)
     else:
@@ -181,26 +202,35 @@ def compared(
         parameters=_random_effects(found),
         causes=tuple(found.causes),
         torque=torque,
+        positions=positions,
         notes=tuple(notes),
     )
 
 
 def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
-    """The spread of every coefficient over the results, and whether they differ."""
+    """The spread of every coefficient over the results, and whether they differ; of what is given
+    as logarithms, judged there and told as values."""
     if not found.named:
         return ()
     # 1e-9: standard deviation that a value has at least, as a share of the largest
-    least = 1e-9 * found.values.nan_to_num().abs().amax(1, keepdim=True).clamp(min=1e-100)
+    logs = torch.zeros(len(found.named), dtype=torch.bool) if found.logs is None else found.logs
+    size = torch.where(logs[:, None], 1.0, found.values.abs())
+    least = 1e-9 * size.nan_to_num().amax(1, keepdim=True).clamp(min=1e-100)
     std = torch.maximum(found.std, least)
     data = Sessions(found.values, std.square(), torch.arange(std.shape[1]))
     p = heterogeneity(data, found.freedom)
     tested = p.isfinite()
     p[tested] = benjamini_hochberg(p[tested])
     # 0.5: relative standard deviation from which a value cannot be told from zero
-    unknown = ((std > 0.5 * found.values.abs()) | ~data.counts).all(1)
+    unknown = ((std > 0.5 * size) | ~data.counts).all(1)
     between, daily = spreads(data)
     ends, _ = intervals(data, between, daily)
     population = means(data, between, daily)
+    # Deviations of logarithms are shares of the values.
+    own = torch.where(logs[:, None], found.values.exp(), found.values)
+    centre = torch.where(logs, population.centre.exp(), population.centre)
+    factor = torch.where(logs, centre, 1.0)
+    own_std = found.std * torch.where(logs[:, None], own, 1.0)
     out = []
     for k, (name, unit, cause) in enumerate(found.named):
         verdict: Verdict = "never_determined" if bool(unknown[k]) else "agree"
@@ -213,12 +243,12 @@ def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
                 unit=unit,
                 cause=cause,
                 verdict=verdict,
-                own=found.values[k],
-                own_std=found.std[k],
-                mean=float(population.centre[k]),
-                std=float(population.centre_variance[k].sqrt()),
-                between=float(between[k]) if tested[k] else math.nan,
-                between_ci95=tuple(ends[k].tolist()),
+                own=own[k],
+                own_std=own_std[k],
+                mean=float(centre[k]),
+                std=float(factor[k] * population.centre_variance[k].sqrt()),
+                between=float(factor[k] * between[k]) if tested[k] else math.nan,
+                between_ci95=tuple((factor[k] * ends[k]).tolist()),
                 p=float(p[k]),
             )
         )

@@ -6,9 +6,10 @@ from msgspec import UNSET, UnsetType, field
 
 from torchid.fleet.record import Spread
 from torchid.results.record import Col, Part, Real, Record, Rows
+from torchid.results.words import short
 from torchid.typing import Float, Tensor
 
-Kind = Literal["identifications", "gap diagnoses", "parameter sets"]
+Kind = Literal["identifications", "gap diagnoses", "position diagnoses", "parameter sets"]
 Verdict = Literal["differ", "agree", "never_determined", "not_compared"]
 State = Literal["named", "not_testable", "not_found"]
 WORDS: dict[Verdict, str] = {
@@ -38,6 +39,22 @@ class TorqueSpread(Part, frozen=True):
     errors: Float[Tensor, "m n"] | None = None
 
 
+class PositionErrors(Part, frozen=True):
+    """RMS position errors of m diagnosed arms along a log [thousandths of its unit].
+
+    Attributes:
+        source: of the motion, in words.
+        unit: of the errors.
+        whole: (m, n) whole motions from their measured start; nan of joints that never move.
+        windows: (m, n) windows of 2 s.
+    """
+
+    source: str = field(name="on")
+    unit: str
+    whole: Float[Tensor, "m n"]
+    windows: Float[Tensor, "m n"] = field(name="windows_2s")
+
+
 class ComparedParameter(Spread, frozen=True, kw_only=True):
     """One coefficient in m results, of units of one type or of one unit.
 
@@ -51,6 +68,7 @@ class ComparedParameter(Spread, frozen=True, kw_only=True):
         p: of Welch's test that all values are equal, adjusted for the number of coefficients.
     """
 
+    name: Annotated[str, Col("coefficient", words=lambda name: short(name, 22))]
     cause: Annotated[str, Col("of")]
     verdict: Annotated[Verdict, Col(words=WORDS.__getitem__)]
     own: Float[Tensor, " m"]
@@ -82,6 +100,7 @@ class Comparison(Record, frozen=True, kw_only=True, tag="torchid.compare/2"):
         parameters: every coefficient that any result has.
         causes: of diagnoses, those that most name first.
         torque: None where the models are not known.
+        positions: of diagnoses of positions along a log; absent without one.
         notes: sentences for the user.
         seed: from a command.
     """
@@ -94,6 +113,7 @@ class Comparison(Record, frozen=True, kw_only=True, tag="torchid.compare/2"):
     causes: tuple[ComparedCause, ...]
     torque: TorqueSpread | None
     notes: tuple[str, ...]
+    positions: PositionErrors | UnsetType = UNSET
     seed: int | UnsetType = UNSET
 
     @property

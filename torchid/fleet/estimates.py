@@ -20,12 +20,13 @@ from torchid.fleet.torque import Model, described_model
 from torchid.gap.record import GapRecord
 from torchid.identification.model import model_torque
 from torchid.identification.record import IdentificationRecord
+from torchid.position.record import PositionFinding, PositionRecord
 from torchid.results.cause import Cause
 from torchid.results.record import robot_record
 from torchid.results.words import count, listed, percent
 from torchid.robot.inertia import InertialParameters, parameter_names, parameter_units
 from torchid.robot.model import Robot
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class Estimates:
         claims: (m,) variances of these; none where there are none.
         cutoff, reversal: of the filter under which they are compared along a log [Hz], and (n,)
             speed from which a joint's direction counts [rad/s; m/s].
+        logs: (P,) of which values are logarithms, and their deviations, too; None of none.
         causes: of diagnoses, those that most name first.
         notes: sentences for the user.
     """
@@ -54,6 +56,7 @@ class Estimates:
     claims: Sequence[Model] = ()
     cutoff: float | None = None
     reversal: Float[Tensor, " n"] | None = None
+    logs: Bool[Tensor, " P"] | None = None
     causes: Sequence[ComparedCause] = ()
     notes: Sequence[str] = ()
 
@@ -82,7 +85,6 @@ def of_identifications(
     named, values, std = common_basis(records)
     notes = []
     every = dict.fromkeys(e for r in records.values() for e in r.settings.effects)
-    seen: dict[str, str] = {}
     for label, r in records.items():
         if missing := [e for e in every if e not in r.settings.effects]:
             notes.append(
@@ -91,17 +93,12 @@ def of_identifications(
             )
         if r.bounded:
             notes.append(f"{label}: fitted at the bound of physics, 0: {listed(r.bounded, most=5)}")
-        for name in r.fit.trajectories:
-            if seen.setdefault(name, label) != label:
-                notes.append(
-                    f"{seen[name]} and {label} were both fitted on a trajectory called '{name}': "
-                    "if it is the same one, their errors are common and agreement says little"
-                )
         if earlier := (r.sure or {}).get("sources", ())[:-1]:
             notes.append(
                 f"{label} holds what was known before its log ({', '.join(earlier)}), and agrees "
                 "with results of the same sessions for that"
             )
+    notes += common_runs({label: r.fit.trajectories for label, r in records.items()})
     cutoffs = [r.cutoff for r in records.values()]
     if len(set(cutoffs)) > 1:
         notes.append("cut-offs differ: part of a difference may come from the filter")
@@ -118,6 +115,22 @@ def of_identifications(
         torch.stack([r.reversal for r in records.values()]).mean(0),
         notes=notes,
     )
+
+
+def common_runs(given: Mapping[str, Sequence[str]]) -> list[str]:
+    """Sentences on trajectories that more than one result was fitted on.
+
+    Args:
+        given: names of the trajectories of each result.
+    """
+    seen: dict[str, str] = {}
+    return [
+        f"{seen[name]} and {label} were both fitted on a trajectory called '{name}': "
+        "if it is the same one, their errors are common and agreement says little"
+        for label, names in given.items()
+        for name in names
+        if seen.setdefault(name, label) != label
+    ]
 
 
 def _models(robot: Robot, found: IdentificationRecord) -> tuple[Model, Model]:
@@ -178,22 +191,10 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
         TorchidError: of other kinematics.
     """
     refuse_other_kinematics({label: r.model for label, r in records.items()})
-    own, numbers = list(records.values()), range(len(records))
-    causes, named, sizes = [], [], []
-    for members in _causes([r.which for r in own]):
+    own, named, sizes = list(records.values()), [], []
+    causes = compared_causes(own)
+    for cause, members in causes:
         place = max((_place(e) for e in members.values()), key=len)
-        effects = [e for e, _ in Counter(e.effect for e in members.values()).most_common()]
-        label = effect_label(" or ".join(effects), place)
-        hidden = {
-            k: e.smallest_detectable
-            for k, r in enumerate(own)
-            for e in r.not_testable
-            if e.effect in effects and tuple(j + 1 for j in e.joints[:1]) == place
-        }
-        unseen: list[State] = ["not_testable" if k in hidden else "not_found" for k in numbers]
-        states = tuple("named" if k in members else unseen[k] for k in numbers)
-        smallest = tuple(None if k in members else hidden.get(k) for k in numbers)
-        causes.append(ComparedCause(label=label, states=states, smallest=smallest))
         coefficients = dict.fromkeys(
             (e.effect, name, e.unit.get(name, ""))
             for e in members.values()
@@ -205,7 +206,7 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
                 value = e.parameters.get(name)
                 if e.effect == effect and isinstance(value, int | float):
                     size[k, 0], size[k, 1] = value, e.std.get(name) or torch.nan
-            named.append((f"{name}{'_'.join(map(str, place))}", unit, label))
+            named.append((f"{name}{'_'.join(map(str, place))}", unit, cause.label))
             sizes.append(size)
     notes = []
     given = [{**robot_record(r.model), "name": ""} for r in own if r.model is not None]
@@ -230,9 +231,36 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
         [f"{r.status.replace('_', ' ')}{said}" for r, said in zip(own, closed, strict=True)],
         [described_model(robot) for robot in robots] if len(robots) == len(own) else (),
         cutoff=min(r.band_hz for r in own),
-        causes=sorted(causes, key=lambda c: -c.states.count("named")),
+        causes=[cause for cause, _ in causes],
         notes=notes,
     )
+
+
+def compared_causes(
+    own: Sequence[GapRecord | PositionRecord],
+) -> list[tuple[ComparedCause, dict[int, Cause]]]:
+    """Causes of diagnoses and, by the number of its diagnosis, what each is there; those that most
+    name first."""
+    causes, numbers = list[tuple[ComparedCause, dict[int, Cause]]](), range(len(own))
+    for members in _causes([[*map(_as_cause, r.which)] for r in own]):
+        place = max((_place(e) for e in members.values()), key=len)
+        effects = [e for e, _ in Counter(e.effect for e in members.values()).most_common()]
+        label = effect_label(" or ".join(effects), place)
+        hidden = {
+            k: e.smallest_detectable
+            for k, r in enumerate(own)
+            for e in r.not_testable
+            if e.effect in effects and tuple(j + 1 for j in e.joints[:1]) == place
+        }
+        unseen: list[State] = ["not_testable" if k in hidden else "not_found" for k in numbers]
+        states = tuple("named" if k in members else unseen[k] for k in numbers)
+        smallest = tuple(None if k in members else hidden.get(k) for k in numbers)
+        causes.append((ComparedCause(label=label, states=states, smallest=smallest), members))
+    return sorted(causes, key=lambda pair: -pair[0].states.count("named"))
+
+
+def _as_cause(entry: Cause | PositionFinding) -> Cause:
+    return entry if isinstance(entry, Cause) else entry.cause
 
 
 def _causes(entries: Sequence[Sequence[Cause]]) -> list[dict[int, Cause]]:

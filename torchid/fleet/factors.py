@@ -11,7 +11,7 @@ other as rows are not, tell how far the answer can be trusted.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -65,6 +65,11 @@ class Factors:
     blocks: tuple[Float[Tensor, "K _ _"], ...]
     rows: Int[Tensor, "K n"]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled without the zeros below the diagonals, which are half of it."""
+        upper = [r[:, *torch.triu_indices(*r.shape[1:])] for r in self.blocks]
+        return _unpacked, (upper, [r.shape for r in self.blocks], self.rows)
+
     @property
     def whole(self) -> "Factors":
         """All rows as one block."""
@@ -87,6 +92,14 @@ class Factors:
         pairs = zip(self.blocks, other.blocks, strict=True)
         blocks = tuple(torch.cat(pair) for pair in pairs)
         return Factors(blocks, torch.cat([self.rows, other.rows]))
+
+
+def _unpacked(upper: Sequence[Tensor], shapes: Sequence[torch.Size], rows: Tensor) -> Factors:
+    """Factors from the upper triangles (K, c (c + 1) / 2) of their blocks, and these shapes."""
+    blocks = [torch.zeros(shape, dtype=torch.float64) for shape in shapes]
+    for block, packed in zip(blocks, upper, strict=True):
+        block[:, *torch.triu_indices(*block.shape[1:])] = packed
+    return Factors(tuple(blocks), rows)
 
 
 def tree(parts: Iterable[_T], combine: Callable[[_T, _T], _T]) -> _T:

@@ -50,6 +50,7 @@ from torchid.results.cause import LINK, Cause
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import SHORTEST_LOG, UNLIKELY
+from torchid.tensors import give_back_memory
 from torchid.typing import Float, Tensor
 
 STAGES = {
@@ -93,7 +94,8 @@ def diagnose_torque(
     # Of an arm that stands nothing but a push is told.
     before = None if problem.data.stands else before
     earlier = None if before is None else earlier_of(before, problem, force)
-    del log, held_out, before  # a long one is searched in part, and may now be let go
+    del log, held_out, before  # a long one is searched in part, and is now let go
+    give_back_memory()
     # Of no torque, or of an arm that stands still, there is nothing to say yet.
     tells = bool(problem.data.keep.any()) and not problem.data.stands
     told = telling(watch, robot) if tells and watch is not None else None

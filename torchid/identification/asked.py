@@ -50,10 +50,10 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[AskedEffect, ..
         TorchidError: an effect that cannot be fitted beside base parameters, an unknown key or a
             joint that the robot does not have, a place named twice.
     """
-    found = [asked for text in written for asked in _places(text, robot)]
-    order = list(dict.fromkeys(a.effect.name for a in found))
-    found.sort(key=lambda a: order.index(a.effect.name))
-    places = [a.effect.identity for a in found]
+    asked_for = [asked for text in written for asked in _places(text, robot)]
+    order = list(dict.fromkeys(a.effect.name for a in asked_for))
+    asked_for.sort(key=lambda a: order.index(a.effect.name))
+    places = [a.effect.identity for a in asked_for]
     twice = [identity for k, identity in enumerate(places) if identity in places[:k]]
     if twice:
         name, joints = twice[0]
@@ -61,7 +61,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[AskedEffect, ..
         raise TorchidError(
             "an effect is named twice.", got=f"{name} of {where}", expected="each place once"
         )
-    gains = [a.effect.name for a in found if a.effect.scale_of_torque]
+    gains = [a.effect.name for a in asked_for if a.effect.scale_of_torque]
     if len(gains) == len(robot.driven):
         raise TorchidError(
             "torque gains of all joints cannot be identified: a gain that they share is the same "
@@ -69,7 +69,7 @@ def asked_effects(written: Sequence[str], robot: Robot) -> tuple[AskedEffect, ..
             got=f"{gains[0]} on all {robot.n} joints",
             expected=f"{gains[0]}:joint=J, and one joint at least whose torque is trusted",
         )
-    return tuple(found)
+    return tuple(asked_for)
 
 
 def _places(text: str, robot: Robot) -> list[AskedEffect]:
@@ -92,8 +92,8 @@ def _places(text: str, robot: Robot) -> list[AskedEffect]:
     where = {k: v for k, v in given.items() if k in PLACES}
     # Joints, from 1, of every place where the effect can be.
     names = [p for p in PLACES if p in own]
-    found = dict.fromkeys(e.identity[1] for e in kind.candidates(robot))
-    places = [dict(zip(names, (j + 1 for j in at), strict=True)) for at in found]
+    joints = dict.fromkeys(e.identity[1] for e in kind.candidates(robot))
+    places = [dict(zip(names, (j + 1 for j in at), strict=True)) for at in joints]
     zeros = {c.name: 0.0 for c in kind.coefficients}
     effects = [
         effect_from_record({"effect": kind.name, **place, **zeros, **values}, robot)[0]
@@ -120,7 +120,7 @@ ROUNDING = 1e-9
 def search_shapes(
     unknown: Sequence[AskedEffect],
     source: RowSource,
-    found: Fit,
+    fitted: Fit,
     cutoff: float | None,
 ) -> list[Effect | None]:
     """Effects with the shapes that leave least of the residual; None for one that these motions
@@ -136,10 +136,10 @@ def search_shapes(
         unknown: with shapes to search.
         source: rows of all that is fitted beside them, of trajectories with t and the torque of
             the fit.
-        found: its fit, whose weights are used.
+        fitted: its fit, whose weights are used.
         cutoff: [Hz] of the rows.
     """
-    rows = _Rows(source, found)
+    rows = _Rows(source, fitted)
     band = cutoff if cutoff is not None else 0.2 * source.measured[0].rate
     best: list[Effect | None] = [None] * len(unknown)
     users = Counter(j for a in unknown for j in a.effect.joints)
@@ -185,10 +185,10 @@ def _tried(
 class _Rows:
     """Weighted rows of a fit, joint by joint, and columns beside them."""
 
-    def __init__(self, source: RowSource, found: Fit):
+    def __init__(self, source: RowSource, fitted: Fit):
         self.measured = source.measured
         self.motions = [m.whole for m in source.measured]
-        self._weight = (found.robust * found.whitening.diagonal()).T
+        self._weight = (fitted.robust * fitted.whitening.diagonal()).T
         n, size = self._weight.shape[0], source.layout.size
         blocks = list(source)
         self.columns = torch.zeros(n, self._weight.shape[1], size, dtype=torch.float64)
@@ -249,7 +249,7 @@ class _Beside:
         left = (inner - held.T @ held) / size / size.unsqueeze(-1)
         values, vectors = torch.linalg.eigh(left)
         along = vectors.T @ (pull / size)
-        told = values > ROUNDING
+        clear = values > ROUNDING
         if count == 1 and effect.coefficients[0].non_negative and float(pull[0]) <= 0:
             return 0.0
-        return float((along[told].square() / values[told]).sum())
+        return float((along[clear].square() / values[clear]).sum())

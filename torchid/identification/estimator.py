@@ -93,14 +93,14 @@ class DynamicsRegressor(RegressorMixin, MultiOutputMixin, BaseEstimator):
             rows = rows.unflatten(0, (-1, robot.n)).movedim(1, 0)
             factors = torch.linalg.qr(torch.cat([factors, rows], 1), mode="r").R
         signs = non_negative(base, effects) & self.bounded
-        found = _solved(factors, signs)
-        left = (factors @ torch.cat([found, found.new_tensor([-1.0])])).norm(dim=1)
+        solved = _solved(factors, signs)
+        left = (factors @ torch.cat([solved, solved.new_tensor([-1.0])])).norm(dim=1)
         size = factors[:, :, -1].norm(dim=1)
-        found = _solved(
+        solved = _solved(
             factors / left.clamp(min=1e-9 * float(size.max()) + 1e-300)[:, None, None], signs
         )
         self._model = robot, base, effects
-        self.coef_, self.names_, self.units_ = found.numpy(), base.names, base.units
+        self.coef_, self.names_, self.units_ = solved.numpy(), base.names, base.units
         self.n_features_in_, self._flat = 3 * robot.n, y.ndim == 1
         return self
 

@@ -295,8 +295,8 @@ def refuse_useless(
     Raises:
         IdentificationError: what the log lacks.
     """
-    found = errors(fitted, free)
-    percent, moving = found.relative_percent, found.relative_percent_moving.nan_to_num(0.0)
+    relative = errors(fitted, free)
+    percent, moving = relative.relative_percent, relative.relative_percent_moving.nan_to_num(0.0)
     # 100.0: error relative to the torque from which a model is worse than none [%]
     useless = (percent > 100.0) & percent.isfinite() & (percent > moving)
     worse = useless.nonzero().flatten().tolist()
@@ -338,8 +338,8 @@ def _with_shapes(
     given = [a.effect for a in asked if not a.searched]
     known = Training.of(training.layout.robot, part.log, given, training.settings)
     source = known.source(measured)
-    found = fit(source, non_negative=known.non_negative)
-    best = search_shapes(unknown, source, found, cutoff)
+    fitted = fit(source, non_negative=known.non_negative)
+    best = search_shapes(unknown, source, fitted, cutoff)
     chosen = {a.effect: effect for a, effect in zip(unknown, best, strict=True)}
     effects, said = [], []
     for a in asked:
@@ -416,11 +416,11 @@ def _estimate(
     source = training.source(measured, stage(progress, "filtering"))
 
     def without(dropped: Tensor) -> _Estimate:
-        found = training.fit(source, dropped)
+        fitted = training.fit(source, dropped)
         counts = (last - first for first, last in itertools.pairwise(source.boundaries))
         seconds = sum(n * step for n, step in zip(counts, source.interval, strict=True))
-        rows = FittedRows(seconds, source.instants / seconds, found.whitening)
-        return _Estimate(found, jackknife(source, found), dropped, rows)
+        rows = FittedRows(seconds, source.instants / seconds, fitted.whitening)
+        return _Estimate(fitted, jackknife(source, fitted), dropped, rows)
 
     now = without(torch.zeros_like(training.non_negative))
     while training.settings.essential and int(now.fit.free.sum()) > 1:

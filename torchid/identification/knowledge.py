@@ -73,8 +73,8 @@ def robust_root(
     there = values > NOTHING * values[:1]
     into = scale.unsqueeze(1) * axes[there].T / values[there]
     back = values[there].unsqueeze(1) * axes[there] * size
-    found = fit_statistics(table @ into, rest, block, variance=1.0)
-    spread, mixed = torch.linalg.eigh(found.widened())
+    fitted = fit_statistics(table @ into, rest, block, variance=1.0)
+    spread, mixed = torch.linalg.eigh(fitted.widened())
     return (mixed.T @ back) / spread.clamp(min=1.0).sqrt().unsqueeze(1)
 
 

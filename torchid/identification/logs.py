@@ -4,9 +4,9 @@ import torch
 
 from torchid.design.motion import no_torque
 from torchid.errors import LogError
+from torchid.inputs import with_drive_gain
 from torchid.log.checks import check_log
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.robot.model import JointType, Robot
 from torchid.statistics.criteria import OTHER_UNIT
 
@@ -25,8 +25,7 @@ def prepared(
     Raises:
         LogError: see `check_log`; or no torque and no gain.
     """
-    if log.tau is None and log.current is not None and robot.drive_gain is not None:
-        log = log.with_torque(robot.drive_gain)
+    log = with_drive_gain(log, robot)
     noticed = check_log(
         log,
         n=robot.n,
@@ -37,7 +36,7 @@ def prepared(
         moving_base=robot.floating,
         force=force,
     )
-    even = resample(log)
+    even = log.even
     if even.tau is None:
         raise no_torque(even)
     # Torques far beyond the robot's limits: the wrong unit, or the wrong robot.

@@ -210,8 +210,8 @@ class Payload(Record, frozen=True, kw_only=True, tag="torchid.payload/1"):
     def rejected(self) -> bool:
         """Whether no rigid payload on the last link, nor exchanged logs, make such a change: the
         parameters are then those of the nearest body, with intervals as wide as it is away."""
-        found = self.nearest is not None and torch.equal(self.nearest, self.parameters)
-        return found and not self.consistent_within
+        unchanged = self.nearest is not None and torch.equal(self.nearest, self.parameters)
+        return unchanged and not self.consistent_within
 
     @property
     def table(self) -> Rows[Change]:
@@ -433,15 +433,15 @@ def payload(
     said: list[str] = []
     if isinstance(without, Identification) and settings.rows == "moving":
         rest, said = _at_rest(without, carrying, loaded)
-    found = estimate_payload(without, carrying, model=model, gain_std=gain_std, rest=rest)
-    own = [*found.warnings, *_motion_for(found, robot, loaded, carrying), *said]
+    load = estimate_payload(without, carrying, model=model, gain_std=gain_std, rest=rest)
+    own = [*load.warnings, *_motion_for(load, robot, loaded, carrying), *said]
     if gain_std:
         own.append(
             f"torque is computed from current. Its gain is assumed known to {gain_std:.0%}; every "
             "± includes that."
         )
     warnings = tuple(dict.fromkeys([*own, *noticed, *_of_the_log(carrying, "with payload")]))
-    return structs.replace(found, cutoff=carrying.cutoff, warnings=warnings)
+    return structs.replace(load, cutoff=carrying.cutoff, warnings=warnings)
 
 
 def _at_rest(
@@ -454,9 +454,9 @@ def _at_rest(
     base, robot, n = carrying.base, carrying.robot, carrying.base.n_rigid
     at = {name: k for k, name in enumerate(base.names) if bool(without.free[k])}
     standing = (carrying.fit.standstill_fraction > _MOSTLY_STANDS).nonzero().flatten().tolist()
-    told = {j: at[f"Fc{j + 1}"] for j in standing if f"Fc{j + 1}" in at}
+    shown = {j: at[f"Fc{j + 1}"] for j in standing if f"Fc{j + 1}" in at}
     rows, values = [], []
-    for m in measurements(prepared(log, robot)[0], carrying.cutoff) if told else ():
+    for m in measurements(prepared(log, robot)[0], carrying.cutoff) if shown else ():
         # 1000: of a trajectory, at most about so many whose mean says what standing joints hold
         some = slice(m.edge, m.samples - m.edge, max(1, m.samples // 1000))
         motion = m.whole.part(some)
@@ -465,7 +465,7 @@ def _at_rest(
         added = ((whole - y) @ without.values[:n]).unflatten(0, (-1, robot.n))
         y, still = y.unflatten(0, (-1, robot.n)), ~moves(motion, m.moving)
         held = m.tau[some] - added
-        for j, k in told.items():
+        for j, k in shown.items():
             friction = float(without.values[k])
             offset = float(without.values[at[f"F0{j + 1}"]]) if f"F0{j + 1}" in at else 0.0
             own = still[:, j]
@@ -475,7 +475,7 @@ def _at_rest(
                 values.append((held[own, j].mean() - offset) / friction)
     if not rows:
         return (), []
-    said = f"{joint_list(sorted(told))} stand with the payload: what they hold counts to within "
+    said = f"{joint_list(sorted(shown))} stand with the payload: what they hold counts to within "
     return (known_rows(torch.stack(rows), torch.stack(values)),), [said + "their dry friction"]
 
 
@@ -577,18 +577,18 @@ def payload_from_evidence(
     columns = last_link_columns(robot, base)
     joint = joint_regression(base, columns, empty, loaded)
     fitted = replace(fit_payload(model, robot, joint), gain_std=gain_std)
-    change, std, freedom, told = changes_beside(fitted, columns)
+    change, std, freedom, shown = changes_beside(fitted, columns)
     rigid = torch.arange(len(base)) < base.n_rigid
     # All rigid parameters are tested at once (Bonferroni).
-    strict = 1 - (1 - LEVEL) / max(1, int((told & rigid).sum()))
-    rounding = _ROUNDING * float(change[told].abs().sum() + columns.abs().max())
+    strict = 1 - (1 - LEVEL) / max(1, int((shown & rigid).sum()))
+    rounding = _ROUNDING * float(change[shown].abs().sum() + columns.abs().max())
     quantile = torch.where(
         rigid, student_quantile(strict, freedom), student_quantile(LEVEL, freedom)
     )
     beyond = change.abs() > quantile * std + rounding
     changes = [
         (k, Change(base.names[k], base.units[k], float(change[k]), float(std[k]), bool(beyond[k])))
-        for k in told.nonzero().flatten().tolist()
+        for k in shown.nonzero().flatten().tolist()
     ]
     alone = _payload(robot, model, fitted, largest)
     explained = alone.determined[0]
@@ -682,7 +682,7 @@ def _payload(robot: Robot, model: Model, fitted: Fitted, largest: Float[Tensor, 
         nearest=nearest,
         effect_changes=(),
         unexplained=(),
-        undetermined=tuple(name for name, told in unknown if not told),
+        undetermined=tuple(name for name, shown in unknown if not shown),
         excluded=(),
         warnings=(),
         cutoff=None,
@@ -711,7 +711,7 @@ def _body(fitted: Fitted, pose: Tensor, largest: Float[Tensor, "10"], seen: bool
     def inertia(x: Tensor) -> Tensor:
         return InertialParameters(parameters(x).unsqueeze(0)).inertia_about_com[0]
 
-    def estimate(function: Callable[[Tensor], Tensor], limit: Tensor, told: bool) -> Estimate:
+    def estimate(function: Callable[[Tensor], Tensor], limit: Tensor, shown: bool) -> Estimate:
         value, covariance, freedom, determined = fitted.of(function)
         std = covariance.diagonal().clamp(min=0).sqrt()
         # What a model holds at zero is zero to rounding after a change of frame.
@@ -721,7 +721,7 @@ def _body(fitted: Fitted, pose: Tensor, largest: Float[Tensor, "10"], seen: bool
         if function is com:
             ends = _quotients(*fitted.of(parameters)[:2], quantile)
         nan = torch.full_like(value, math.nan)
-        known = determined & told & ((ends[:, 1] - ends[:, 0]) / 2 <= limit)
+        known = determined & shown & ((ends[:, 1] - ends[:, 0]) / 2 <= limit)
         value, std = torch.where(known, value, nan), torch.where(known, std, nan)
         return Estimate(value, std, torch.where(known.unsqueeze(1), ends, nan.unsqueeze(1)))
 

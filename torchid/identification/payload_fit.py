@@ -93,19 +93,21 @@ def evidence_of(result: Identification) -> tuple[Evidence, ...]:
     the rows say is of all of them together.
     """
     order = layout(result.robot, result.base, result.effects).back
-    found, r = result.uncertainty, result.factor
-    covariance = found.covariance[order][:, order]
+    uncertainty, r = result.uncertainty, result.factor
+    covariance = uncertainty.covariance[order][:, order]
     undetermined = result.base.mask(result.undetermined)
     free = covariance.diagonal() > 0
     held = ~(free | undetermined)
     own, triangle = torch.linalg.qr(r[:, :-1][:, free])
-    if found.shares is None:
-        known = known_rows(own.T @ r[:, :-1], own.T @ r[:, -1], float(max(1, found.blocks - 1)))
+    if uncertainty.shares is None:
+        known = known_rows(
+            own.T @ r[:, :-1], own.T @ r[:, -1], float(max(1, uncertainty.blocks - 1))
+        )
         spread = triangle @ covariance[free][:, free] @ triangle.T
         return (replace(known, covariance=spread, held=held),)
     # The blocks have the free columns in the layout's order.
     place = order[free].argsort().argsort()
-    shares, into = found.shares, triangle @ found.shares.back[place]
+    shares, into = uncertainty.shares, triangle @ uncertainty.shares.back[place]
     # 0.9: share of a direction's information that makes one block's word for it doubtful
     lone = into @ shares.alone(0.9)
     turned = torch.linalg.qr(torch.cat([lone, torch.eye(len(into)).to(into)], 1)).Q
@@ -254,7 +256,7 @@ def changes_beside(
 ) -> tuple[Tensor, Tensor, Tensor, Bool[Tensor, " B"]]:
     """How base parameters and coefficients differ between the logs beside what the payload makes
     of them: differences (B,), standard deviations, degrees of freedom, and which both logs tell."""
-    joint, maps, told = fitted.joint, [], []
+    joint, maps, known = fitted.joint, [], []
     for parts in (joint.empty, joint.loaded):
         held = torch.stack([part.held for part in parts or joint.loaded]).any(0)
         rows = torch.cat([columns.T[:0], *(part.rows for part in parts)]) * ~held
@@ -266,12 +268,12 @@ def changes_beside(
         maps.append(inverse)
         # 1e-6: share of others, in units of the columns, below which rows tell a parameter by
         # itself
-        told.append((apart < 1e-6) & (size > 0) & ~held)
+        known.append((apart < 1e-6) & (size > 0) & ~held)
     slope = jacobian(fitted.to_parameters, fitted.free)
     both = torch.cat([-maps[0], maps[1]], 1)
     change = both @ joint.values - columns @ fitted.to_parameters(fitted.free)
     covariance, freedom = joint.spread(both - columns @ slope @ fitted.estimator)
-    return change, covariance.diagonal().clamp(min=0).sqrt(), freedom, told[0] & told[1]
+    return change, covariance.diagonal().clamp(min=0).sqrt(), freedom, known[0] & known[1]
 
 
 def _estimator(joint: Joint, slope: Float[Tensor, "10 F"]) -> tuple[Tensor, Tensor]:
@@ -326,8 +328,8 @@ def _point_mass_solution(
         return (r[:, :-1] @ jacobian(_point_mass, torch.as_tensor(x))).numpy()
 
     start = torch.cat([general.new_tensor([mass]), place.clamp(-1, 1)]).numpy()
-    found = least_squares(residual, start, slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return torch.from_numpy(found.x)
+    best = least_squares(residual, start, slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return torch.from_numpy(best.x)
 
 
 def nearest_consistent(

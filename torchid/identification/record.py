@@ -113,7 +113,7 @@ class FittedRows(Part, frozen=True):
 
 
 class StatisticsRecord(Blocks, Part, frozen=True, kw_only=True):
-    """Of the standard deviations.
+    """How the standard deviations were found.
 
     Attributes:
         method: how they were found.
@@ -209,7 +209,7 @@ class IdentificationRecord(
 
     @property
     def uncertainty(self) -> StatisticsRecord:
-        """Of the standard deviations, as `Identification` calls it."""
+        """How the standard deviations were found, by the name that `Identification` has for it."""
         return self.statistics
 
     @property
@@ -220,7 +220,7 @@ class IdentificationRecord(
 
     @property
     def knowledge(self) -> Knowledge | None:
-        """Of base parameters and coefficients; None in older files."""
+        """Base parameters and coefficients with their covariance; None in older files."""
         where = f"an identification of '{self.robot}'"
         return None if self.sure is None else from_mapping(self.sure, len(self.reversal), where)
 

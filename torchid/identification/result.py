@@ -138,10 +138,10 @@ class Identification(IdentifiedModel, Result):
         # Base parameter led by each independent parameter.
         position = {k: b for b, k in enumerate(self.base.independent)}
         start = self.base.n_rigid_parameters
-        found: dict[str, dict[str, Any]] = {}
+        by_effect: dict[str, dict[str, Any]] = {}
         for effect in self.effects:
             names = [c.name for c in effect.coefficients]
-            entry = found.setdefault(
+            entry = by_effect.setdefault(
                 effect.name,
                 {
                     "effect": effect.name,
@@ -160,7 +160,7 @@ class Identification(IdentifiedModel, Result):
                 known = b is not None and bool(self.free[b])
                 entry["parameters"][name].append(None if b is None else float(self.values[b]))
                 entry["std"][name].append(float(self.std[b]) if known else None)
-        for name, entry in found.items():
+        for name, entry in by_effect.items():
             members = [e for e in self.effects if e.name == name]
             if name not in COLUMN_KINDS or len(members) < self.robot.n:
                 # Effects without their coefficients, as `effect_from_record` takes them.
@@ -169,7 +169,7 @@ class Identification(IdentifiedModel, Result):
                 entry["places"] = plain(
                     [{k: v for k, v in r.items() if k not in left_out} for r in records]
                 )
-        return [EffectRecord.of(**entry) for entry in found.values()]
+        return [EffectRecord.of(**entry) for entry in by_effect.values()]
 
     @property
     def model(self) -> Robot:

@@ -224,7 +224,7 @@ def at_ease(m: Measurement) -> Measurement:
     if not isinstance(motion, Motion) or motion.direction is None:
         return m
     limit = resting_speed(motion, m.moving)
-    found, came = motion.sign.clone(), direction(motion.dq, limit)
+    held, came = motion.sign.clone(), direction(motion.dq, limit)
     for j, speed in enumerate(motion.dq.unbind(-1)):
         pace = (speed / limit[j]).square()
         slow = pace <= 1
@@ -234,8 +234,8 @@ def at_ease(m: Measurement) -> Measurement:
         # which it does, below which it rests: half the speed of a joint that turns, which passes
         # evenly through all speeds there and has a third
         rests = slow & (stay.bincount(pace) < (1 / 12) * stay.bincount())[stay]
-        found[rests, j] = 0.5 * came[rests, j].to(found)
-    return replace(m, motion=motion._replace(direction=found))
+        held[rests, j] = 0.5 * came[rests, j].to(held)
+    return replace(m, motion=motion._replace(direction=held))
 
 
 def _filter(m: Measurement) -> ZeroPhaseFilter | None:

@@ -96,15 +96,18 @@ def jackknife(source: RowSource, fit: Fit) -> Uncertainty:
     # Mean square of the weighted residuals: about 1 where rows are whitened.
     rows_kept = int((fit.robust > 0).sum())
     variance = float(fit.factor[-1, -1] ** 2) / max(1, rows_kept - len(free))
-    found = blocks_jackknife.jackknife(hessians, gradients, variance=variance, combinations=inverse)
+    # What a log leaves is mostly misfit, as slow as the columns: each block counts as left out.
+    spread = blocks_jackknife.jackknife(
+        hessians, gradients, variance=variance, combinations=inverse, power=1.0
+    )
     covariance = torch.zeros(len(fit.x), len(fit.x), dtype=torch.float64)
-    covariance[free.unsqueeze(-1), free] = found.covariance
+    covariance[free.unsqueeze(-1), free] = spread.covariance
     by_one = torch.zeros(len(fit.x), dtype=torch.bool)
-    by_one[free] = found.by_one_block
+    by_one[free] = spread.by_one_block
     interval = max(source.interval)
     return Uncertainty(
-        method="leverage-corrected block jackknife", blocks=found.blocks,
+        method="leverage-corrected block jackknife", blocks=spread.blocks,
         block_seconds=length * interval, correlation_seconds=correlation * interval,
-        quantile95=quantile(found.blocks), covariance=covariance, by_one_block=by_one,
-        warnings=tuple(warnings), shares=found.shares if source.layout.robot.is_serial else None,
+        quantile95=quantile(spread.blocks), covariance=covariance, by_one_block=by_one,
+        warnings=tuple(warnings), shares=spread.shares if source.layout.robot.is_serial else None,
     )  # fmt: skip

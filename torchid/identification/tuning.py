@@ -174,24 +174,24 @@ def shortened(log: Log) -> Log:
 def _unfiltered_errors(training: Training, measured: list[Measurement]) -> Float[Tensor, " n"]:
     """Relative error of the unfiltered torque of the stretches left out, per joint [%]."""
     source = training.source(measured)
-    found = _left_out(training, source, fit(source, non_negative=training.non_negative))
-    pairs = ((k, x, m) for k, (_, x) in enumerate(found) for m in measured)
+    left_out = _left_out(training, source, fit(source, non_negative=training.non_negative))
+    pairs = ((k, x, m) for k, (_, x) in enumerate(left_out) for m in measured)
     return _relative(training, (_stretch(m, training.layout, x, k) for k, x, m in pairs))
 
 
 def _filtered_errors(training: Training, source: RowSource, weights: Fit) -> Float[Tensor, " n"]:
     """Relative error of the rows' torque of the stretches left out, per joint [%]."""
-    found = _left_out(training, source, weights)
+    left_out = _left_out(training, source, weights)
 
     def judged(block: RowBlock) -> tuple[Tensor, Tensor]:
-        parts = [own[block.instant] * block.residual(training.layout, x) for own, x in found]
+        parts = [own[block.instant] * block.residual(training.layout, x) for own, x in left_out]
         return sum(parts) * block.moving, block.tau * block.moving
 
     return _relative(training, map(judged, source))
 
 
 def _relative(training: Training, judged: Iterable[tuple[Tensor, Tensor]]) -> Float[Tensor, " n"]:
-    """Of errors and torques (_, n), piece by piece, per joint [%]."""
+    """Relative error (n,) of errors and torques (_, n), piece by piece [%]."""
     squares = [torch.stack([x.square().sum(0).cpu() for x in pair]) for pair in judged]
     error, energy = torch.stack(squares).sum(0)
     relative = 100 * (error / energy).sqrt()

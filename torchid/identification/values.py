@@ -93,9 +93,9 @@ def nominal_base(robot: Robot) -> BaseValues:
     """
     effects = tuple(effect for effect, _ in nominal_columns(robot))
     base = base_parameters(robot, effects)
-    found = known_values(robot, base, effects, later=False)
-    if found is not None:
-        return found
+    values = known_values(robot, base, effects, later=False)
+    if values is not None:
+        return values
     known = torch.ones(len(base), dtype=torch.bool)
     return BaseValues(base, effects, nominal_values(robot, base), known, None, None)
 
@@ -113,10 +113,10 @@ def known_values(
         base, effects: which base parameters.
         later: on the day of another session; else on that of the last one.
     """
-    found = known_before(robot, base, effects, later=later)
-    if found is None:
+    knowledge = known_before(robot, base, effects, later=later)
+    if knowledge is None:
         return None
-    root, expected = found
+    root, expected = knowledge
     values, covariance, known = pooled(root, expected, root[:0], expected)
     rows = torch.cat([root, root @ expected.unsqueeze(1)], 1)
     factor = torch.linalg.qr(torch.cat([rows, rows.new_zeros(rows.shape[1], rows.shape[1])])).R
@@ -157,31 +157,31 @@ def read_identification(path: Path) -> IdentificationRecord:
     return read_as(path, IdentificationRecord, "a result of an identification", hint)
 
 
-def recorded_base(found: IdentificationRecord, robot: Robot, source: str) -> BaseValues:
+def recorded_base(record: IdentificationRecord, robot: Robot, source: str) -> BaseValues:
     """The base parameters of an identification's record.
 
     Args:
-        found: the record.
+        record: the record.
         robot: the same robot as was identified.
         source: what the record is called in errors.
 
     Raises:
         TorchidError: another robot's.
     """
-    effects = found.placed_on(robot)
-    base = base_parameters(robot, effects, basis=found.basis)
-    if base.names != found.base_names:
-        differing = [n for n in found.base_names if n not in base.names]
+    effects = record.placed_on(robot)
+    base = base_parameters(robot, effects, basis=record.basis)
+    if base.names != record.base_names:
+        differing = [n for n in record.base_names if n not in base.names]
         raise TorchidError(
             f"'{source}' holds base parameters of another robot.",
-            got=f"{len(found.base_names)} of '{found.robot}'"
+            got=f"{len(record.base_names)} of '{record.robot}'"
             + (f", e.g. {differing[0]}" if differing else ""),
             expected=f"the {len(base)} of '{robot.name}', e.g. {base.names[0]}",
             hint="of the same robot by an older torchid: identify again",
         )
-    known, data = ~base.mask(found.undetermined), found.sure
+    known, data = ~base.mask(record.undetermined), record.sure
     sure = None if data is None else from_mapping(data, robot.n, source)
-    return BaseValues(base, effects, found.values, known, found.covariance, found.factor, sure)
+    return BaseValues(base, effects, record.values, known, record.covariance, record.factor, sure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +222,7 @@ def prior_of(result: IdentificationRecord, robot: Robot, source: str) -> Prior:
     Raises:
         TorchidError: another robot's, or one without the rows' weights, of an older torchid.
     """
-    found = recorded_base(result, robot, source)
+    base = recorded_base(result, robot, source)
     if result.rows is None:
         raise TorchidError(
             f"'{source}' does not say how its rows were weighted.",
@@ -230,17 +230,17 @@ def prior_of(result: IdentificationRecord, robot: Robot, source: str) -> Prior:
         )
     r, std = result.factor[:, :-1], result.covariance.diagonal().clamp(min=0).sqrt()
     wider = result.rows.inflation
-    if wider is None or found.knowledge is None:  # of an older torchid: of this log alone
+    if wider is None or base.knowledge is None:  # of an older torchid: of this log alone
         wider, information = inflation(result.covariance, result.factor), r.T @ r
     else:
         # What all sessions know, in units of rows with independent errors.
-        root = of_base_parameters(found.knowledge, found.base, found.effects) * wider
+        root = of_base_parameters(base.knowledge, base.base, base.effects) * wider
         information = root.T @ root
     return Prior(
-        found.base,
-        plain_effects(found.effects, "the design of the next motion"),
-        found.values,
-        found.known,
+        base.base,
+        plain_effects(base.effects, "the design of the next motion"),
+        base.values,
+        base.known,
         std,
         information,
         wider,

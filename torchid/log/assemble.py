@@ -88,7 +88,7 @@ def log_from_table(
 
 
 def require_columns(table: Table, mapping: ColumnMapping | None = None) -> None:
-    """That a table has t, q and what a mapping names, before anything of it is read.
+    """Refuse a table without t, q and what a mapping names, before anything of it is read.
 
     Raises:
         LogError: it has not, and no mapping can be proposed, for which the robot's joints count.
@@ -275,16 +275,16 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
     ]
     if not texts:
         return None
-    found: list[set[str]] = []
+    filled: list[set[str]] = []
     for text in texts:
         start, *ends = re.split(r"\*", re.sub(r"\{[^}]*\}", "\0", text))
         pattern = "(.+?)".join(
             re.escape(part).replace("\0", r"\d+") for part in (start, ends[0])
         ) + "".join(r"\1" + re.escape(part).replace("\0", r"\d+") for part in ends[1:])
-        found.append({m[1] for name in table.columns if (m := re.fullmatch(pattern, name))})
-    values = set.intersection(*found)
+        filled.append({m[1] for name in table.columns if (m := re.fullmatch(pattern, name))})
+    values = set.intersection(*filled)
     if not values:
-        absent = next((t for t, f in zip(texts, found, strict=True) if not f), " and ".join(texts))
+        absent = next((t for t, f in zip(texts, filled, strict=True) if not f), " and ".join(texts))
         raise AbsentColumnError(
             f"'{table.path}' has no columns {absent}, which the mapping names.",
             available=table.described,
@@ -293,7 +293,7 @@ def _wildcards(table: Table, mapping: ColumnMapping) -> list[str] | None:
 
 
 def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError:
-    """The same error with all columns, and a mapping that would do where one can be guessed."""
+    """The error with all columns, and a mapping that would do where one can be guessed."""
     guessed = proposed_mapping(table, joints)
     hints = []
     if guessed is not None:
@@ -310,7 +310,7 @@ def _with_help(error: LogError, table: Table, joints: Sequence[str]) -> LogError
 
 
 def with_hint(error: LogError, *hints: str, available: Sequence[object] | None = None) -> LogError:
-    """The same error with more hints, each once, and with another list of what is available."""
+    """The error with more hints, each once, and with another list of what is available."""
     known = error.hint or ""
     said = [known] if known else []
     said += [hint for hint in hints if hint not in known]

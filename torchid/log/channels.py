@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import torch
 
-from torchid.log.checks import MOVING, NO_TORQUE
+from torchid.log.checks import NO_TORQUE
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
+from torchid.log.movement import MOVING
 from torchid.typing import Float, Tensor
 
 COUNTS = 200.0
@@ -50,25 +51,25 @@ def odd_channels(log: Log, effort: Float[Tensor, " n"] | None = None) -> list[Od
         x = x.nan_to_num()
         moves = (log.q.amax(0) - log.q.amin(0)).nan_to_num() > MOVING
         live = ((x.amax(0) - x.amin(0)) > NO_TORQUE) & moves
-        most, found = x.abs().amax(0), list[tuple[Tensor, str]]()
+        most, doubts = x.abs().amax(0), list[tuple[Tensor, str]]()
         if bool(live.sum() > 1):
-            found.append((_unsigned(log, x, live), "no value is negative: sizes without a sign?"))
+            doubts.append((_unsigned(log, x, live), "no value is negative: sizes without a sign?"))
         whole = live & (x == x.round()).all(0) & (most > COUNTS)
-        found.append((whole, "whole numbers: counts, or per mille of a rating?"))
+        doubts.append((whole, "whole numbers: counts, or per mille of a rating?"))
         if signal == "current":
             text = f"up to {float(most.max()):.4g} A: milliamperes?"
             # 100.0: largest current of an arm's motor [A]: beyond are milliamperes
-            found.append((most > 100.0, text))
+            doubts.append((most > 100.0, text))
         elif effort is not None:
             known = effort.isfinite() & (effort > 0)
             ratio = torch.where(known, most / effort, 0.0)
             text = f"up to {float(ratio.max()):.3g} times the joint's limit"
             # 2.0: torque over the joint's limit from which it is not its own: peaks are above a
             # rating
-            found.append((ratio > 2.0, text))
+            doubts.append((ratio > 2.0, text))
         out += [
             OddChannel(signal, tuple(odd.nonzero().flatten().tolist()), why)
-            for odd, why in found
+            for odd, why in doubts
             if bool(odd.any())
         ]
         out += _copied_runs(log, signal, x, live)

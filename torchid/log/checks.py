@@ -6,8 +6,6 @@ What cannot be used raises LogError; what is merely odd comes back as warnings.
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -16,14 +14,14 @@ from torchid.errors import LogError
 from torchid.log.base_motion import COORDINATES, POSITION, QUATERNION
 from torchid.log.columns import PREFIXES, columns_of, sensorless
 from torchid.log.model import Log
+from torchid.log.movement import Agreement
 from torchid.log.stamps import check_increasing, place_of
 from torchid.log.units import STEPS
-from torchid.statistics.robust import column_quantile, white_variance
+from torchid.statistics.robust import column_quantile
 from torchid.typing import Float, Tensor
 
 NO_TORQUE = 1e-9  # what is below is no torque: zero, or what a driver leaves there [N m, N or A]
 STILL = 1e-4  # a joint whose position varies less does not move [rad or m]
-MOVING = 1e-2  # a joint that varies more moves, in every log [rad or m]
 SLOW_STEP_S = 0.5  # no arm's dynamics are logged with longer steps
 FOLLOWS = 0.95  # correlation above which dq is the velocity, up to its unit
 FAR = 4.0 * math.pi  # an angle beyond may be in degrees, if the joint does not turn on [rad]
@@ -106,8 +104,8 @@ def _check_units(log: Log, limits: Tensor | None, slides: Sequence[bool], first:
     """Refuse positions, time and velocities in other units."""
     _check_position_units(log, limits, slides, first)
     # Refuse time in milli-, micro- or nanoseconds, or counted in samples.
-    step = max(float(log.t[rows].diff().median()) for rows in log.slices())
-    clear = [a for a in velocity_agreement(log) if a.correlation > FOLLOWS]
+    step = max(steps.median for steps in log.steps)
+    clear = [a for a in log.agreements if a.correlation > FOLLOWS]
     for factor, unit in TIME_UNITS.items():
         if clear and all(near(a.ratio, factor) for a in clear):
             k, ratio = clear[0].joint + 1, clear[0].ratio
@@ -181,14 +179,15 @@ def _check_position_units(
 
 def _spans(log: Log) -> Iterator[str]:
     """Trajectories that last much longer than their rows: a stamp that is damaged, or a pause."""
-    for name, rows in zip(log.names, log.slices(), strict=True):
-        steps = log.t[rows].diff()
-        span, own = float(log.t[rows][-1] - log.t[rows][0]), float(steps.median()) * len(steps)
+    parts = zip(log.names, log.slices(), log.duration, log.steps, strict=True)
+    for name, rows, span, steps in parts:
+        count = rows.stop - rows.start
+        own = steps.median * (count - 1)
         # 10.0: times as long as its rows take: no span of theirs
         if span > 10.0 * own:
             yield (
-                f"'{name}' lasts {span:.4g} s, and its {len(steps) + 1} rows {own:.4g} s at their "
-                f"usual step: a stamp may be damaged after row {int(steps.argmax()) + 1}."
+                f"'{name}' lasts {span:.4g} s, and its {count} rows {own:.4g} s at their usual "
+                f"step: a stamp may be damaged after row {int(log.t[rows].diff().argmax()) + 1}."
             )
 
 
@@ -240,7 +239,7 @@ def check_joints(log: Log, robot_name: str, n: int, moving_base: bool = False) -
 def _in_degrees(log: Log) -> str:
     """How a log in degrees is read: its positions, and velocities that go with them."""
     own = [f"{key}={key}{{{{j}}}} deg" for key in ("q", "ql", "u") if key in log.signals]
-    if any(near(a.ratio, 1.0) for a in velocity_agreement(log)):
+    if any(near(a.ratio, 1.0) for a in log.agreements):
         own.append("dq=dq{{j}} deg/s")
     return f'read it with `columns="{",".join(own)}"`, where its columns are q1..'
 
@@ -260,77 +259,11 @@ def largest_slide(limits: Tensor | None) -> float:
     return max(1.0, 10.0 * float(limits.abs().max()))
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How the measured dq of one joint relates to the change of its q.
-
-    Attributes:
-        joint: from 0.
-        ratio: dq over the derivative of q, in size.
-        correlation: of q with the integral of dq.
-    """
-
-    joint: int
-    ratio: float
-    correlation: float
-
-
-_AGREEMENTS: WeakKeyDictionary[Log, tuple[Agreement, ...]] = WeakKeyDictionary()
-"""Of logs that were asked, as long as there are such."""
-
-
-def velocity_agreement(log: Log) -> tuple[Agreement, ...]:
-    """One record a joint that moves; empty without dq. The doctor, every fit and the positions ask:
-    of each log it is computed once."""
-    if log not in _AGREEMENTS:
-        _AGREEMENTS[log] = () if log.dq is None else tuple(_agreement(log, log.dq))
-    return _AGREEMENTS[log]
-
-
-def _agreement(log: Log, dq: Float[Tensor, "T n"]) -> Iterator[Agreement]:
-    """One record a joint that moves.
-
-    The integral of dq is compared with q, not dq with a derivative: encoder noise, quantisation
-    and dropped packets matter little there.
-    """
-    least = least_way(log).tolist()
-    # Joint by joint: of a long log nothing is copied whole.
-    for k in range(log.n):
-        integrals, positions = [], []
-        for rows in log.slices():
-            t, q = log.t[rows], log.q[rows, k]
-            integral = torch.zeros_like(q)
-            integral[1:] = torch.cumulative_trapezoid(dq[rows, k], t)
-            integrals.append(integral - integral.mean())
-            positions.append(q - q.mean())
-        moved, q = torch.cat(integrals), torch.cat(positions)
-        a, b = float(moved.norm()), float(q.norm())
-        if float(q.max() - q.min()) > least[k] and a > 0.0:
-            yield Agreement(k, a / b, float(moved @ q) / (a * b))
-
-
-def least_way(log: Log) -> Float[Tensor, " n"]:
-    """How much each joint (n,) varies at least where it moves, as far as this log tells [rad or m]:
-    its own motions and its resolution say so, in a log of small motions."""
-    # 0.1: in one whose motions are smaller, a share of the farthest joint's way
-    farthest = 0.1 * float((log.q.amax(0) - log.q.amin(0)).max())
-    least = torch.full((log.n,), min(MOVING, farthest), dtype=torch.float64)
-    for k in range(log.n if farthest < MOVING else 0):
-        parts = [log.q[rows, k].double() for rows in log.slices()]
-        noise = white_variance(parts).sqrt()
-        # A count is the smallest step.
-        jumps = torch.cat([x.diff() for x in parts]).abs()
-        count = jumps[jumps > 0].amin() if bool((jumps > 0).any()) else noise
-        # 20.0: and many times what its positions resolve
-        least[k] = max(float(least[k]), min(MOVING, 20.0 * float(max(noise, count))))
-    return least
-
-
 def dead_velocities(log: Log) -> list[int]:
     """Joints (from 0) that move while their dq never changes."""
     if log.dq is None:
         return []
-    moves = log.q.amax(0) - log.q.amin(0) > least_way(log)
+    moves = log.q.amax(0) - log.q.amin(0) > log.least_way
     return (moves & (log.dq.amax(0) == log.dq.amin(0))).nonzero().flatten().tolist()
 
 
@@ -347,7 +280,7 @@ def refuse_time(log: Log, why: str, step: float) -> None:
 
 
 def _check_velocity_unit(log: Log, slides: Sequence[bool]) -> None:
-    for a in velocity_agreement(log):
+    for a in log.agreements:
         column = f"dq{a.joint + 1}"
         if a.correlation < -FOLLOWS:
             raise LogError(
@@ -386,13 +319,13 @@ def own_units(log: Log) -> dict[int, float]:
     """Joints whose q, and command, are in a unit of their own such as a fraction of a range, by
     the measured velocities: radians (or metres) per unit. Velocities that are in a known unit, or
     in another one on all joints alike, say nothing of q."""
-    found = [a for a in velocity_agreement(log) if a.correlation > FOLLOWS]
+    following = [a for a in log.agreements if a.correlation > FOLLOWS]
     # The least-squares slope: velocities late or coarse make the ratio too large.
-    slopes = {a.joint: a.ratio * a.correlation for a in found}
+    slopes = {a.joint: a.ratio * a.correlation for a in following}
     # 0.2: a measured velocity that differs from the rate of q by more tells q's unit
     odd = {
         a.joint: slopes[a.joint]
-        for a in found
+        for a in following
         if abs(slopes[a.joint] - 1) > 0.2 and named_ratio(a.ratio)[1] is None
     }
     if 1 < len(odd) == len(slopes) and near(max(odd.values()), min(odd.values())):
@@ -407,7 +340,7 @@ def near(ratio: float, factor: float) -> bool:
 
 def position_jumps(log: Log) -> list[str]:
     """Steps of a position that no motion makes: an angle wrapped at +-pi, or two runs in one."""
-    found = []
+    jumps = []
     for part in log.trajectories():
         if part.samples < 20:
             continue
@@ -422,17 +355,17 @@ def position_jumps(log: Log) -> list[str]:
             if not bool(jump.any()):
                 continue
             k = int(jump.to(torch.uint8).argmax())
-            found.append(
+            jumps.append(
                 f"{part.names[0]}: q{j + 1} jumps by {float(step[k]):.3g} within one step at "
                 f"t = {float(part.t[k]):.4g} s: unwrap the angle, or number the runs in a column "
                 "traj"
             )
-    return found
+    return jumps
 
 
 def _copied(log: Log) -> list[str]:
     """Joints that hold another joint's numbers: no two sensors measure the same in every sample."""
-    found = []
+    copies = []
     measured = ("tau", log.tau) if log.tau is not None else ("i", log.current)
     for name, signal in (("q", log.q), measured):
         if signal is None:
@@ -446,11 +379,11 @@ def _copied(log: Log) -> list[str]:
             )
             first = next(same, None)
             if first is not None and bool((own != own[0]).any()):
-                found.append(
+                copies.append(
                     f"{name}{k + 1} is the same as {name}{first + 1} in every row: was a column "
                     "copied?"
                 )
-    return found
+    return copies
 
 
 def _no_torque(log: Log, first: int) -> list[str]:
@@ -474,7 +407,7 @@ def _no_torque(log: Log, first: int) -> list[str]:
 
 def _velocity_warnings(log: Log) -> list[str]:
     """What is odd about dq, the joints for which it is odd in the same way in one sentence."""
-    agreement = velocity_agreement(log)
+    agreement = log.agreements
     warnings = [f"dq{k + 1} never changes, while q{k + 1} does." for k in dead_velocities(log)]
     scaled = [a for a in agreement if a.correlation >= FOLLOWS and not 0.5 < a.ratio < 2.0]
     if scaled:

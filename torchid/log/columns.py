@@ -178,12 +178,12 @@ def sensorless(names: Iterable[str]) -> str | None:
 
 def _numbered(names: Sequence[str], prefix: str, path: Path) -> list[str]:
     matches = (_JOINT_COLUMN.fullmatch(name) for name in names)
-    found = sorted((int(m[2]), m[0]) for m in matches if m is not None and m[1] == prefix)
-    expected = [f"{prefix}{i + 1}" for i in range(len(found))]
-    got = [name for _, name in found]
-    numbers = {number for number, _ in found}
+    numbered = sorted((int(m[2]), m[0]) for m in matches if m is not None and m[1] == prefix)
+    expected = [f"{prefix}{i + 1}" for i in range(len(numbered))]
+    got = [name for _, name in numbered]
+    numbers = {number for number, _ in numbered}
     missing = [name for k, name in enumerate(expected, 1) if k not in numbers]
-    if missing and 0 not in numbers and len(numbers) == len(found):
+    if missing and 0 not in numbers and len(numbers) == len(numbered):
         raise LogError(
             f"'{path}' has no column {', '.join(first_names(missing, 5))}.",
             got=", ".join(first_names(got)),

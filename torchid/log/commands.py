@@ -110,7 +110,7 @@ def commands_along(
 
 
 def _overlap(t: np.ndarray, sent: np.ndarray, label: str) -> None:
-    """That commands were sent while positions were recorded."""
+    """Refuse commands that were not sent while positions were recorded."""
     if len(sent) == 0:
         raise LogError(f"{label} has no commands.", got=0, expected="commands with their times")
     if not (sent.min() < t[-1] and sent.max() >= t[0]):

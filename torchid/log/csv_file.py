@@ -94,8 +94,8 @@ def csv_table(path: Path, request: Request) -> Table:
         )
 
     def read_data(wanted: Sequence[str]) -> dict[str, np.ndarray]:
-        found = _read(path, dialect, {str(k): f"data[:,{k}]" for k in range(dialect.width)})
-        return {"data": np.stack(list(found.values()), 1)} if wanted else {}
+        values = _read(path, dialect, {str(k): f"data[:,{k}]" for k in range(dialect.width)})
+        return {"data": np.stack(list(values.values()), 1)} if wanted else {}
 
     shapes = {"data": (-1, dialect.width)}
     return Table(path, "csv without header", shapes, read_data, warnings=said)
@@ -108,10 +108,10 @@ def _are_pairs(names: Sequence[str]) -> bool:
 
 def _pairs_table(path: Path, dialect: _Dialect, said: tuple[str, ...]) -> Table:
     """Columns of a table of pairs, at the times of the longest."""
-    found = _read(path, dialect, {str(k): str(k) for k in range(dialect.width)})
+    values = _read(path, dialect, {str(k): str(k) for k in range(dialect.width)})
     pairs = {}
     for k, name in enumerate(dialect.names[1::2]):
-        t, x = found[str(2 * k)], found[str(2 * k + 1)]
+        t, x = values[str(2 * k)], values[str(2 * k + 1)]
         there = np.isfinite(t.astype(np.float64)) & np.isfinite(x.astype(np.float64))
         pairs[name] = t[there].astype(np.float64), x[there].astype(np.float64)
     t, columns = at_one_time(pairs, f"'{path}'")
@@ -213,7 +213,7 @@ def _header(lines: Sequence[str], first: int) -> tuple[int, str]:
     if delimiter not in text and len(text.split()) > 1:
         delimiter = " "
     # Three lines are a table, where other lines stand before it.
-    best, found = 2, (first, delimiter)
+    best, header = 2, (first, delimiter)
     for other in dict.fromkeys((delimiter, *";\t, ")):
         width, length, begin = 0, 0, first
         for k in range(first, len(lines)):
@@ -230,8 +230,8 @@ def _header(lines: Sequence[str], first: int) -> tuple[int, str]:
                 rows = [_is_row(lines[j], other, decimal) for j in (begin, k)]
                 fits = width > 1 and rows == [False, True]
             if fits and length > best:
-                best, found = length, (begin, other)
-    return found
+                best, header = length, (begin, other)
+    return header
 
 
 def _is_row(line: str, delimiter: str, decimal: str) -> bool:
@@ -284,13 +284,13 @@ def _read(path: Path, dialect: _Dialect, wanted: Mapping[str, str]) -> dict[str,
             raise
         # As text, so that the column and the value can be named.
         table = _arrow(path, dialect, list(wanted), pa.string())
-    found = {}
+    columns = {}
     for k, name in wanted.items():
         column = table[k]
         with suppress(pa.ArrowInvalid):  # as it is where not all of it are numbers
             column = column.cast(pa.float64())
-        found[name] = from_arrow(column, name, path)
-    return found
+        columns[name] = from_arrow(column, name, path)
+    return columns
 
 
 def _arrow(path: Path, dialect: _Dialect, wanted: list[str], kind: pa.DataType) -> pa.Table:

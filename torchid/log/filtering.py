@@ -94,7 +94,8 @@ class ZeroPhaseFilter:
 
 @lru_cache(maxsize=16)
 def _weights(low_pass: ZeroPhaseFilter, length: int, step: int, offset: int, **like: Any) -> Tensor:
-    """Of the frequencies that a decimation keeps. Logs of a fleet are alike: made once for many."""
+    """Gains and phases of the frequencies that a decimation keeps. Logs of a fleet are alike: made
+    once for many."""
     rate = low_pass.rate / low_pass.every
     frequency = torch.arange(length // step // 2 + 1, **like) * (rate / length)
     response = low_pass.response(frequency)

@@ -54,7 +54,7 @@ class _Group:
 
     @property
     def written_unit(self) -> str:
-        """That a mapping must say: not the one that is taken anyway."""
+        """The unit that a mapping must say: not the one that is taken anyway."""
         return self.unit if self.unit and unit_factor(self.key, self.unit) != 1.0 else ""
 
     def in_order(self, labels: Sequence[str]) -> "_Group":
@@ -65,7 +65,7 @@ class _Group:
         return replace(self, names=names, joints=len(names), labels=tuple(labels))
 
     def first(self, count: int) -> "_Group":
-        """Of these joints the first ones only."""
+        """The group with its first joints only."""
         if self.joints <= count or self.key == "t":
             return self
         pattern = re.sub(
@@ -166,7 +166,7 @@ def torques_among(names: Sequence[str]) -> list[str]:
 
 def _arrays(table: Table, names: Sequence[str]) -> list[_Group]:
     """Arrays (T, n), or of unknown shape in a file that may have some."""
-    found = []
+    groups = []
     for array in names:
         shape = table.columns[array]
         if not (table.arrays or (shape and len(shape) == 2)) or (shape and len(shape) != 2):
@@ -178,8 +178,8 @@ def _arrays(table: Table, names: Sequence[str]) -> list[_Group]:
         if quantity is None or quantity == "t":
             continue
         width = min((k for k in shape or () if k > 0), default=0)
-        found.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
-    return found
+        groups.append(_Group((array,), quantity, width, 0.5 + looks_measured(words)))
+    return groups
 
 
 def _is_of(group: _Group, key: str) -> bool:
@@ -236,7 +236,7 @@ def _numbered(names: list[str]) -> list[_Group]:
     for name in names:
         for m in re.finditer(r"\d+", name):
             families.setdefault((name[: m.start()], name[m.end() :]), {})[int(m[0])] = name
-    found = []
+    groups = []
     for (before, after), members in families.items():
         first, count = min(members), len(members)
         if first > 1 or max(members) != first + count - 1 or count < 2:
@@ -247,19 +247,19 @@ def _numbered(names: list[str]) -> list[_Group]:
             continue
         pattern = f"{before}{{{'j' if first else 'j0'}}}{after}"
         columns = frozenset(members.values())
-        found.append(_Group((pattern,), key, count, looks_measured(words), columns=columns))
-    return found
+        groups.append(_Group((pattern,), key, count, looks_measured(words), columns=columns))
+    return groups
 
 
 def _unnumbered(names: list[str]) -> list[_Group]:
     """Columns by themselves, without a number: the time, and signals of a single joint."""
-    found = []
+    groups = []
     for name in names:
         last = without_unit(name)[0].rsplit("/", 1)[-1]
         key = quantity_of(words_of(last))
         if key is not None and not re.search(r"\d", last):
-            found.append(_Group((name,), key, 1, looks_measured(words_of(name))))
-    return found
+            groups.append(_Group((name,), key, 1, looks_measured(words_of(name))))
+    return groups
 
 
 def _named(names: list[str]) -> list[_Group]:
@@ -278,15 +278,15 @@ def _named(names: list[str]) -> list[_Group]:
         for k in others or fitting:
             label = "_".join(tokens[:k] + tokens[k + 1 :])
             families.setdefault((tokens[k], unit, *said), {})[label] = name
-    found = []
+    groups = []
     for (part, *_), members in families.items():
         columns = list(members.values())
         if len(columns) < 2 or set(columns) == {n for g in _numbered(columns) for n in g.columns}:
             continue
         key, score = str(quantity_of([part.lower()])), looks_measured(words_of(columns[0])) - 0.2
         labels = tuple(members)
-        found.append(_Group(tuple(columns), key, len(columns), score, labels, frozenset(columns)))
-    return found
+        groups.append(_Group(tuple(columns), key, len(columns), score, labels, frozenset(columns)))
+    return groups
 
 
 _TURNS = 4 * math.pi
@@ -310,15 +310,15 @@ def _guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) 
     }
     pieces = {key: resolve(key, source, table) for key, source in silent.items()}
     arrays = table.read([n for group in pieces.values() for piece in group for n in piece.names])
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     step = 1.0
     if "t" in silent:
         steps = np.diff(time_of(silent["t"], pieces["t"], arrays, table))
         if not len(steps):
             return {}
         step = float(np.median(steps))
-        found["t"] = next((unit for most, unit in STEPS.items() if abs(step) < most), "")
-        step *= {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[found["t"]]
+        units["t"] = next((unit for most, unit in STEPS.items() if abs(step) < most), "")
+        step *= {"": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[units["t"]]
 
     def values(key: str, source: Source, parts: Sequence[Piece]) -> np.ndarray:
         rows = max(max(arrays[piece.name].shape) for piece in parts)
@@ -329,19 +329,19 @@ def _guessed_units(mapping: ColumnMapping, table: Table, keys: Collection[str]) 
     if "q" in silent:
         q = values("q", silent["q"], pieces["q"])
         if _TURNS < np.abs(q).max(initial=0.0) < counts:
-            found["q"] = "deg"
+            units["q"] = "deg"
             if "dq" in silent and _follows(q, values("dq", silent["dq"], pieces["dq"]), step):
-                found["dq"] = "deg/s"
+                units["dq"] = "deg/s"
     if "u" in silent:
         u = np.nan_to_num(values("u", silent["u"], pieces["u"]))
         if _TURNS < np.abs(u).max(initial=0.0) < counts:
-            found["u"] = "deg"
+            units["u"] = "deg"
     if "tau" in silent:
         tau = values("tau", silent["tau"], pieces["tau"])
         size = np.where(np.isfinite(tau), np.abs(tau), 0.0)
         if len(tau) and _MILLI[0] < np.median(np.quantile(size, 0.99, axis=0)) < _MILLI[1]:
-            found["tau"] = "mNm"
-    return {key: unit for key, unit in found.items() if unit}
+            units["tau"] = "mNm"
+    return {key: unit for key, unit in units.items() if unit}
 
 
 def _follows(q: np.ndarray, dq: np.ndarray, step: float) -> bool:

@@ -58,12 +58,12 @@ def hdf5_table(
         out = {}
         with h5py.File(path, "r") as file:
             for name in wanted:
-                found, field = file.get(name), ""
-                if not isinstance(found, h5py.Dataset):
+                data, field = file.get(name), ""
+                if not isinstance(data, h5py.Dataset):
                     dataset, _, field = name.rpartition("/")
-                    found = file[dataset]
-                require_held(path, name, int(found.nbytes), int(found.id.get_storage_size()))
-                array = np.asarray(found[field] if field else found[()])
+                    data = file[dataset]
+                require_held(path, name, int(data.nbytes), int(data.id.get_storage_size()))
+                array = np.asarray(data[field] if field else data[()])
                 if array.dtype.kind in "SO":
                     array = array.astype(str).astype(object)
                 out[name] = array.T if matlab else array

@@ -35,8 +35,8 @@ def in_robot_order(
         ordered = sorted(names, key=natural)
         note = f"{label}: joints in the order of their names: {_listed(ordered)}"
         return ordered, (note,) if len(names) > 1 else ()
-    found = [_fitting(joint, names) for joint in joints]
-    fitting = [name for name in found if name]
+    matching = [_fitting(joint, names) for joint in joints]
+    fitting = [name for name in matching if name]
     if len(set(fitting)) == len(joints) and not _cut_short(fitting, joints, names, spare):
         others = [name for name in names if name not in fitting]
         strange = [n for n in others if not _HAND.search(n.lower()) and not _spare(n, spare)]
@@ -78,12 +78,12 @@ def known_joints(names: Sequence[str], joints: Sequence[str]) -> int:
 
 
 def _cut_short(
-    found: Sequence[str], joints: Sequence[str], names: Sequence[str], spare: Sequence[str]
+    kept: Sequence[str], joints: Sequence[str], names: Sequence[str], spare: Sequence[str]
 ) -> bool:
     """Whether names that are not quite the robot's leave out some of their kind: another robot."""
-    kinds = {re.sub(r"\d+", "#", name) for name in found if "#" in re.sub(r"\d+", "#", name)}
-    others = {re.sub(r"\d+", "#", n) for n in names if n not in found and not _spare(n, spare)}
-    return list(found) != list(joints) and bool(kinds & others)
+    kinds = {re.sub(r"\d+", "#", name) for name in kept if "#" in re.sub(r"\d+", "#", name)}
+    others = {re.sub(r"\d+", "#", n) for n in names if n not in kept and not _spare(n, spare)}
+    return list(kept) != list(joints) and bool(kinds & others)
 
 
 def _spare(name: str, spare: Sequence[str]) -> bool:

@@ -139,21 +139,21 @@ def _joint_signals(
     """Feature and elements of q, dq, tau, i and u, the joints' names, and warnings."""
     if request.maps("q"):
         return {}, (), ()
-    found: dict[str, tuple[str, list[int]]] = {}
+    places: dict[str, tuple[str, list[int]]] = {}
     joints: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     for key, features in _PRESET["features"].items():
         for feature in features:
             named = _elements_of(key, elements.get(feature, []), feature == "observation.state")
-            if not named or (key != "q" and not found):
+            if not named or (key != "q" and not places):
                 continue
             if key == "q":
                 chosen, warnings = _in_order(path, feature, list(named), request)
                 joints = tuple(chosen)
             if all(joint in named for joint in joints):
-                found[key] = (feature, [named[joint] for joint in joints])
+                places[key] = (feature, [named[joint] for joint in joints])
                 break
-    return found, joints, warnings
+    return places, joints, warnings
 
 
 def _unit(

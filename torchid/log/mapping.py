@@ -185,17 +185,17 @@ def _source(key: str, text: str) -> Source | None:
     if SENSORLESS.fullmatch(key):
         raise LogError("of a single joint the mapping says only that there is none.", got=rest)
     offsets: tuple[float, ...] = (0.0,)
-    if found := _OFFSET.search(rest):
-        sign = -1.0 if found[1] == "-" else 1.0
-        offsets = tuple(sign * _number(x, key, "offset") for x in found[2].strip("[] ").split(","))
-        rest = rest[: found.start()]
+    if match := _OFFSET.search(rest):
+        sign = -1.0 if match[1] == "-" else 1.0
+        offsets = tuple(sign * _number(x, key, "offset") for x in match[2].strip("[] ").split(","))
+        rest = rest[: match.start()]
     factors: tuple[float, ...] = (1.0,)
-    if found := _FACTOR.search(rest):
-        text = found[1]
+    if match := _FACTOR.search(rest):
+        text = match[1]
         factors = tuple(_number(part, key) for part in text.strip("[] ").split(","))
-        if found[0].lstrip().startswith("/"):
+        if match[0].lstrip().startswith("/"):
             factors = tuple(1 / f for f in factors)
-        rest = rest[: found.start()]
+        rest = rest[: match.start()]
     if rest.startswith("-"):
         factors, rest = tuple(-f for f in factors), rest[1:].lstrip()
     # The unit is behind the first space outside quotes and brackets.

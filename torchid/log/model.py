@@ -1,14 +1,17 @@
 """What was measured: time, positions and, where known, velocities, accelerations, torques and
 what was commanded.
 
-A Log is frozen and its methods return new ones. Several trajectories live in one Log, one after
-the other; time may start again in each of them, so no signal may be differentiated, filtered or
-interpolated across the border between two.
+A Log is frozen and its methods return new ones. What the doctor, every fit and a diagnosis ask of
+its samples (`rates`, `steps`, `even`, `least_way`, `moving_speed`, `noise_density`, `agreements`)
+is computed when first asked for, and once, as long as the log is handed on as it is.
+
+Several trajectories live in one Log, one after the other; time may start again in each of them, so
+no signal may be differentiated, filtered or interpolated across the border between two.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from html import escape
 from importlib import import_module
@@ -20,7 +23,14 @@ import torch
 
 from torchid.errors import LogError
 from torchid.log.columns import JOINT_SIGNALS
-from torchid.log.stamps import rates_of
+from torchid.log.movement import (
+    Agreement,
+    agreements_of,
+    least_way_of,
+    moving_speed_of,
+    noise_density_of,
+)
+from torchid.log.stamps import Steps, rates_of, stamps_of
 from torchid.notebooks import data_frame, html_table
 from torchid.tensors import as_tensor
 from torchid.typing import Bool, Float, Int, Tensor
@@ -175,6 +185,59 @@ class Log:
         """
         return rates_of(self)
 
+    @cached_property
+    def steps(self) -> tuple[Steps, ...]:
+        """How even the time stamps of each trajectory are.
+
+        Raises:
+            LogError: as `rates`.
+        """
+        return tuple(Steps.of(t) for t in stamps_of(self))
+
+    @property
+    def even(self) -> "Log":
+        """The log on a uniform grid, see `torchid.log.sampling.resampled`.
+
+        Raises:
+            LogError: as `rates`, or every piece between two gaps is too short.
+        """
+        return self._resampled[0]
+
+    @property
+    def even_runs(self) -> tuple[int, ...]:
+        """Which trajectory each one of `even` is a part of, from 0."""
+        return self._resampled[1]
+
+    @cached_property
+    def _resampled(self) -> tuple["Log", tuple[int, ...]]:
+        from torchid.log.sampling import resampled
+
+        return resampled(self)
+
+    @cached_property
+    def least_way(self) -> Float[Tensor, " n"]:
+        """How much each joint (n,) varies at least where it moves [rad or m]."""
+        return least_way_of(self)
+
+    @cached_property
+    def moving_speed(self) -> Float[Tensor, " n"]:
+        """Speed (n,) above which each joint moves, of a log on a uniform grid [rad/s or m/s]."""
+        return moving_speed_of(self)
+
+    @cached_property
+    def noise_density(self) -> Float[Tensor, " n"]:
+        """Density (n,) of the positions' white noise, on a uniform grid [rad^2/Hz or m^2/Hz]."""
+        return noise_density_of(self)
+
+    @cached_property
+    def agreements(self) -> tuple[Agreement, ...]:
+        """How dq relates to the change of q: one record a joint that moves; empty without dq."""
+        return tuple(agreements_of(self))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is sent to other processes: the samples, without what was computed of them."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
     @property
     def _shown_rates(self) -> tuple[float, ...]:
         """Rates to be printed: nan where a log is refused for its time."""
@@ -235,8 +298,8 @@ class Log:
     @property
     def signals(self) -> dict[str, Float[Tensor, "T n"]]:
         """The joint signals that are there, by name: q and any of dq, ddq, tau, current, ql, u."""
-        found = {name: getattr(self, name) for name in JOINT_SIGNALS}
-        return {name: signal for name, signal in found.items() if signal is not None}
+        signals = {name: getattr(self, name) for name in JOINT_SIGNALS}
+        return {name: signal for name, signal in signals.items() if signal is not None}
 
     def slices(self) -> list[slice]:
         """The rows of each trajectory."""
@@ -320,7 +383,7 @@ class Log:
         return self.select(first), self.select(rest)
 
     def with_torque(self, gain: Float[Tensor, " n"] | np.ndarray | Sequence[float]) -> "Log":
-        """The same log with tau = current * gain.
+        """This log with tau = current * gain.
 
         Args:
             gain: (n,) drive gains [N m/A or N/A].
@@ -344,7 +407,7 @@ class Log:
         return replace(self, tau=self.current * gain)
 
     def replace(self, **changes: Any) -> "Log":
-        """The same log with other fields."""
+        """This log with other fields."""
         return replace(self, **changes)
 
     @classmethod

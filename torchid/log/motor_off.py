@@ -68,7 +68,7 @@ def while_on(
 
 
 def _is_off(switch: np.ndarray) -> np.ndarray:
-    """Of numbers and texts, those that say so; what is absent says nothing."""
+    """Which numbers and texts say that a motor is off; what is absent says nothing."""
     words = ("false", "0", "0.0", "off", "no")
     return np.vectorize(lambda x: str(x).strip().lower() in words, otypes=[bool])(switch)
 

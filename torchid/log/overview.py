@@ -16,8 +16,7 @@ from torchid.log.checks import check_log
 from torchid.log.columns import JOINT_SIGNALS, PREFIXES
 from torchid.log.model import Log, finite_range
 from torchid.log.readers import open_logs
-from torchid.log.sampling import SMALL_GAP
-from torchid.log.stamps import ROUNDING
+from torchid.log.stamps import ROUNDING, SMALL_GAP
 from torchid.log.table import Request, Table
 from torchid.log.units import unit_factor
 from torchid.typing import Float, Tensor
@@ -120,9 +119,9 @@ def look_at(
     tables = tuple(table for table, _ in opened)
     n = len(request.joints) + COORDINATES * moving_base if request.joints else log.n
     problem: str | None = None
-    found: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     try:
-        found = check_log(
+        warnings = check_log(
             log,
             n=n,
             robot_name=robot_name or "of this log",
@@ -150,7 +149,7 @@ def look_at(
         else tuple(unused_columns(tables[0], request.columns)),
         odd=odd,
         problem=problem,
-        warnings=tuple(dict.fromkeys((*log.warnings, *found, *map(str, odd)))),
+        warnings=tuple(dict.fromkeys((*log.warnings, *warnings, *map(str, odd)))),
     )
 
 
@@ -187,31 +186,31 @@ def overview_record(seen: Overview) -> dict[str, Any]:
 def _sources(log: Log, table: Table | None, request: Request) -> dict[str, str]:
     """By signal: the columns of the file, with the unit and factor they were given."""
     mapped = request.columns.sources if request.columns else {}
-    found: dict[str, str] = {}
+    origins: dict[str, str] = {}
     for name in ("t", *log.signals):
         key = PREFIXES.get(name, name)
         source = mapped.get(key)
         if source is not None:
             if source.rate is not None:
-                found[name] = f"{source.rate:g} Hz"
+                origins[name] = f"{source.rate:g} Hz"
             else:
                 scale = unit_factor(key, source.unit) or 1.0
                 factors = [f"{factor / scale:.6g}" for factor in source.factors]
                 unit = f", in {source.unit}" if source.unit else ""
                 added = ", ".join(f"{offset:+.6g}" for offset in source.offsets)
-                found[name] = (
+                origins[name] = (
                     ", ".join(source.columns)
                     + ("" if source.offsets == (0.0,) else f" {added}")
                     + unit
                     + ("" if set(factors) == {"1"} else f", x {', '.join(factors)}")
                 )
         elif table is not None and table.origins.get(key):
-            found[name] = table.origins[key]
+            origins[name] = table.origins[key]
         elif table is not None and key in table.columns:
-            found[name] = key
+            origins[name] = key
         else:
-            found[name] = f"{key}1" if log.n == 1 else f"{key}1..{key}{log.n}"
-    return found
+            origins[name] = f"{key}1" if log.n == 1 else f"{key}1..{key}{log.n}"
+    return origins
 
 
 def _timing(log: Log, k: int) -> Timing:

@@ -50,7 +50,7 @@ class Frame(Protocol):
 
     @property
     def columns(self) -> Any:
-        """Its columns, or their names."""
+        """The frame's columns, or their names."""
 
     def __getitem__(self, name: Any, /) -> Any:
         """One column."""
@@ -193,9 +193,9 @@ def open_log(
         return path, log_from_table(path, request.columns, request.joints)
     if not isinstance(path, Path):
         return None, path
-    found = require_log(path)
+    opener = require_log(path)
     try:
-        table = _joined(found, path, request)
+        table = _joined(opener, path, request)
         if request.topic is not None and table.topic is None:
             raise LogError(
                 f"'{path}' is no bag: it has no topics.",
@@ -208,7 +208,7 @@ def open_log(
 
 
 def require_header(path: Path, request: Request) -> None:
-    """That the header of a text or Parquet file has the columns of a log, as far as it tells
+    """Refuse a text or Parquet file whose header lacks the columns of a log, as far as it tells
     without the robot and without torch.
 
     Raises:
@@ -343,10 +343,10 @@ def _suffixes() -> list[str]:
 def _inside(folder: Path) -> list[str] | None:
     """The logs in a folder, at most ten, for an error message."""
     try:
-        found = sorted(p.name for p in folder.iterdir() if is_log(p))
+        logs = sorted(p.name for p in folder.iterdir() if is_log(p))
     except OSError:
         return None
-    return first_names(found, 10) or None
+    return first_names(logs, 10) or None
 
 
 def is_log(path: Path) -> bool:

@@ -81,24 +81,24 @@ def bag_table(path: Path, request: Request) -> Table:
         messages = list(_messages(bag, topic.name))
         # Where the mapping says which joint is which, their names need not be the robot's.
         joints = () if request.maps("q") else request.joints
-        found = joint_columns_of(
+        motion = joint_columns_of(
             messages, joints, f"'{path}', topic {topic.name}", request.spare_joints
         )
-        arrays, source, notes = _with_commands(bag, path, request, topic.name, found)
+        arrays, source, notes = _with_commands(bag, path, request, topic.name, motion)
     return Table.in_memory(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
         arrays,
-        joints=found.joints,
+        joints=motion.joints,
         topic=topic.name,
         origins={
-            "t": "stamp of the header" if found.stamped else "time of receipt",
+            "t": "stamp of the header" if motion.stamped else "time of receipt",
             "q": "position",
             "dq": "velocity",
             "tau": "effort",
             **({"u": source} if source else {}),
         },
-        warnings=(*found.warnings, *notes),
+        warnings=(*motion.warnings, *notes),
     )
 
 
@@ -140,7 +140,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _require_checksums(file: Path) -> None:
-    """That the sections of an MCAP have the checksums that it says, where it says some; those of
+    """Refuse an MCAP whose sections have other checksums than it says, where it says some; those of
     its chunks rosbags looks at.
 
     Raises:
@@ -163,15 +163,15 @@ def _require_checksums(file: Path) -> None:
         sections.append(("summary", summary or last, size - len(_MAGIC) - 4, summary_crc))
         for name, begin, end, expected in sections:
             stream.seek(begin)
-            found, left = 0, end - begin if expected else 0
+            checksum, left = 0, end - begin if expected else 0
             while piece := stream.read(min(left, 1 << 20)):
-                found, left = zlib.crc32(piece, found), left - len(piece)
-            if expected and found != expected:
+                checksum, left = zlib.crc32(piece, checksum), left - len(piece)
+            if expected and checksum != expected:
                 raise ValueError(f"the checksum of its {name} is wrong: bits have changed")
 
 
 def _topics(bag: Any) -> tuple[Topic, ...]:
-    found = []
+    topics = []
     for name, info in bag.topics.items():
         messages = _messages(bag, name) if (info.msgtype == _TYPE) else iter(())
         first = list(islice(messages, _LOOKED_AT))
@@ -185,8 +185,8 @@ def _topics(bag: Any) -> tuple[Topic, ...]:
             )
         )
         joints = first[0].names if first else ()
-        found.append(Topic(name, info.msgtype or "several types", info.msgcount, joints, signals))
-    return tuple(sorted(found, key=lambda topic: (topic.type != _TYPE, topic.name)))
+        topics.append(Topic(name, info.msgtype or "several types", info.msgcount, joints, signals))
+    return tuple(sorted(topics, key=lambda topic: (topic.type != _TYPE, topic.name)))
 
 
 def _chosen(bag: Any, path: Path, request: Request) -> Topic:
@@ -232,7 +232,7 @@ def _messages(bag: Any, topic: str) -> Iterator[JointState]:
 
 
 def _with_commands(
-    bag: Any, path: Path, request: Request, states: str, found: JointColumns
+    bag: Any, path: Path, request: Request, states: str, motion: JointColumns
 ) -> tuple[dict[str, np.ndarray], str | None, tuple[str, ...]]:
     """Arrays with the commands beside joint states: the topic that a mapping names, under its
     name; else, where there is no effort, the only one that is commanded, as u. With that topic and
@@ -245,27 +245,27 @@ def _with_commands(
     named = [name for name in known if source is not None and name in source.columns]
     if not named:
         # Drivers without torque may send zeros.
-        torque = bool(np.nan_to_num(found.arrays.get("tau", np.zeros(0))).any())
+        torque = bool(np.nan_to_num(motion.arrays.get("tau", np.zeros(0))).any())
         if torque or request.maps("u") or request.maps("q"):
-            return found.arrays, None, ()
+            return motion.arrays, None, ()
         commanded = [
             name
             for name in known
             if (types[name] == _TRAJECTORY or is_commanded(words_of(name)))
-            and any(set(found.joints) <= set(m[2]) for m in islice(_sent(bag, name), _LOOKED_AT))
+            and any(set(motion.joints) <= set(m[2]) for m in islice(_sent(bag, name), _LOOKED_AT))
         ]
         if len(commanded) != 1:
             which = f'; say which: `columns="u={commanded[0]}"`' if commanded else ""
             topics = ", ".join(commanded)
-            return found.arrays, None, (
+            return motion.arrays, None, (
                 (f"'{path}': several topics of commands: {topics}{which}",) if commanded else ()
             )  # fmt: skip
         named = commanded
     label = f"'{path}', topic {named[0]}"
-    if "traj" in found.arrays:
-        return found.arrays, None, (f"{label}: left out, as time begins again in {states}.",)
-    commands, notes = _commands(list(_sent(bag, named[0])), types[named[0]], found, label)
-    arrays = {name: values[commands.rows] for name, values in found.arrays.items()}
+    if "traj" in motion.arrays:
+        return motion.arrays, None, (f"{label}: left out, as time begins again in {states}.",)
+    commands, notes = _commands(list(_sent(bag, named[0])), types[named[0]], motion, label)
+    arrays = {name: values[commands.rows] for name, values in motion.arrays.items()}
     arrays["t"] = arrays["t"] - arrays["t"][:1]
     arrays["u" if source is None else named[0]] = commands.u[commands.rows]
     return arrays, named[0], (*notes, *commands.warnings)
@@ -284,7 +284,7 @@ def _sent(bag: Any, topic: str) -> Iterator[tuple[int, int, tuple[str, ...], Any
 def _commands(
     messages: list[tuple[int, int, tuple[str, ...], Any]],
     kind: str,
-    found: JointColumns,
+    motion: JointColumns,
     label: str,
 ) -> tuple[Held, tuple[str, ...]]:
     """Commands of the joints of columns, at their times.
@@ -292,7 +292,7 @@ def _commands(
     Raises:
         LogError: no message has these joints, or commands were not recorded with the positions.
     """
-    joints, t = found.joints, found.arrays["t"]
+    joints, t = motion.joints, motion.arrays["t"]
     whole = [m for m in messages if set(joints) <= set(m[2])]
     if not whole:
         seen = dict.fromkeys(name for m in messages for name in m[2])
@@ -305,9 +305,9 @@ def _commands(
     # When commands were sent, on the clock of the positions: their stamps where these are of that
     # clock; else the time of receipt, less what the positions take until they are received.
     received, stamps = (np.array([m[k] for m in whole], dtype=np.int64) for k in (0, 1))
-    stamped = found.stamped and stamps.min() > 0 and (len(stamps) < 2 or np.ptp(stamps) > 0)
+    stamped = motion.stamped and stamps.min() > 0 and (len(stamps) < 2 or np.ptp(stamps) > 0)
     if stamped:
-        apart = 1e-9 * (float(np.median(received - stamps)) - found.late)
+        apart = 1e-9 * (float(np.median(received - stamps)) - motion.late)
         # 1.0: stamps that lag by so much more than others are of another clock
         if abs(apart) > 1.0:
             notes.append(
@@ -315,7 +315,7 @@ def _commands(
                 "apart: the time of receipt is taken."
             )
             stamped = False
-    sent = 1e-9 * ((stamps if stamped else received - found.late) - found.start)
+    sent = 1e-9 * ((stamps if stamped else received - motion.late) - motion.start)
     if kind == _TYPE:
         u = np.array([[_value(m[3], m[2], joint) for joint in joints] for m in whole])
         return held_commands(t, sent, u, label), tuple(notes)
@@ -330,7 +330,7 @@ def _commands(
         notes.append(
             f"{label}: {len(whole) - len(trajectories)} messages without positions: left out."
         )
-    return commands_along(t, found.arrays["q"], trajectories, label), tuple(notes)
+    return commands_along(t, motion.arrays["q"], trajectories, label), tuple(notes)
 
 
 def _value(message: Any, names: tuple[str, ...], joint: str) -> float:

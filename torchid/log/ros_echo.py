@@ -34,19 +34,20 @@ def echo_table(path: Path, request: Request) -> Table | None:
         rows = csv.reader(file if _named(names) else chain([first], file))
         messages = [_state(row, places) for row in rows if len(row) >= len(names)]
     joints = () if request.maps("q") else request.joints
-    found = joint_columns_of(messages, joints, f"'{path}'", request.spare_joints)
+    motion = joint_columns_of(messages, joints, f"'{path}'", request.spare_joints)
     origins = {
-        "t": "stamp of the header" if found.stamped else "time of receipt",
+        "t": "stamp of the header" if motion.stamped else "time of receipt",
         **dict(zip(("q", "dq", "tau"), _SIGNALS, strict=True)),
     }
     return Table.in_memory(
-        path, "echo of a ROS topic", found.arrays,
-        joints=found.joints, origins=origins, warnings=found.warnings,
+        path, "echo of a ROS topic", motion.arrays,
+        joints=motion.joints, origins=origins, warnings=motion.warnings,
     )  # fmt: skip
 
 
 def _named(names: list[str]) -> Places | None:
-    """Of ROS 1, whose header counts the fields: field.name0, field.position0, .."""
+    """Columns of each field of ROS 1, whose header counts them: field.name0, field.position0, ..;
+    None of another header."""
     places: Places = {}
     for k, name in enumerate(names):
         if field := _FIELD.fullmatch(name.strip()):
@@ -58,7 +59,8 @@ def _named(names: list[str]) -> Places | None:
 
 
 def _unnamed(row: list[str]) -> Places | None:
-    """Of ROS 2, without a header: s, ns, the frame, names, then as many numbers of each signal."""
+    """Columns of each field of ROS 2, without a header: s, ns, the frame, names, then as many
+    numbers of each signal; None of another row."""
     texts = [bool(re.search(r"[A-Za-z_]", x)) and x not in ("nan", "inf") for x in row]
     first, n = 3, texts[3:].index(False) if False in texts[3:] else 0
     signals, rest = divmod(len(row) - first - n, max(n, 1))

@@ -43,8 +43,8 @@ def sage_table(path: Path, request: Request) -> Table:
     second = 1.0 if np.median(np.diff(stamps)) < 1.0 else 1e-6
     t, rows = second * stamps, np.ones(len(stamps), dtype=bool)
     order, joints, warnings = _order(path, states["positions"].shape[1], request)
-    found = {name: values[:, order] for name, values in states.items()}
-    found["q"] = found.pop("positions")
+    signals = {name: values[:, order] for name, values in states.items()}
+    signals["q"] = signals.pop("positions")
     if (path / _COMMANDS).is_file():
         sent = _lists(path / _COMMANDS, ("positions",))
         if sent["positions"].shape[1] != states["positions"].shape[1]:
@@ -56,7 +56,7 @@ def sage_table(path: Path, request: Request) -> Table:
         commands = held_commands(
             t, second * sent["timestamp"], sent["positions"][:, order], f"'{path}'"
         )
-        found["u"], rows, warnings = commands.u, commands.rows, warnings + commands.warnings
+        signals["u"], rows, warnings = commands.u, commands.rows, warnings + commands.warnings
     else:
         warnings += (f"'{path}': no {_COMMANDS}: positions without commands.",)
     off = second * _switched_off(path)
@@ -66,13 +66,13 @@ def sage_table(path: Path, request: Request) -> Table:
             "left out.",
         )
         rows = rows & (t <= off)
-    others = [name for name in ("velocities", "torques") if name in found]
+    others = [name for name in ("velocities", "torques") if name in signals]
     if others:
         warnings += (
             f"'{path}': {' and '.join(others)} are left aside, as their units differ from robot to "
             'robot; where they are known: `columns="dq=velocities,tau=torques"`',
         )
-    arrays = {"t": t[rows] - t[rows][:1], **{name: values[rows] for name, values in found.items()}}
+    arrays = {"t": t[rows] - t[rows][:1], **{name: x[rows] for name, x in signals.items()}}
     origins = {"t": "timestamp", "q": f"{_STATES} positions"}
     if "u" in arrays:
         origins["u"] = f"{_COMMANDS} positions, each until the next"
@@ -128,13 +128,13 @@ def _order(
     if not request.joints or request.maps("q"):
         return everything, tuple(names), ()
     try:
-        found, notes = in_robot_order(names, request.joints, f"'{path}'", request.spare_joints)
+        ordered, notes = in_robot_order(names, request.joints, f"'{path}'", request.spare_joints)
     except LogError:
         if count != len(request.joints):
             raise
         note = "its joints do not have the robot's names; taken in the order of the file"
         return everything, tuple(names), (f"'{path}': {note}: {', '.join(names)}",)
-    return [names.index(name) for name in found], tuple(found), notes
+    return [names.index(name) for name in ordered], tuple(ordered), notes
 
 
 def _switched_off(path: Path) -> float:

@@ -8,7 +8,6 @@ so they are interpolated linearly. Nothing is interpolated across a long gap: th
 split there.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,17 @@ import torch
 from torchid.errors import LogError
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
-from torchid.log.stamps import ROUNDING, UNIFORM, off_grid, stamps_of, typical_step
+from torchid.log.stamps import (
+    ROUNDING,
+    SMALL_GAP,
+    UNIFORM,
+    Steps,
+    off_grid,
+    stamps_of,
+    typical_step,
+)
 
 SAME_STEP = 0.01  # trajectories whose steps differ by less share one step
-SMALL_GAP = 3.0  # longer steps are counted as gaps, in steps
 LONG_GAP_STEPS = 20.0  # a gap longer than this, or
 LONG_GAP_S = 0.25  # than this, splits the trajectory
 SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
@@ -28,8 +34,8 @@ SHORTEST_PIECE_S = 1.0  # shorter pieces are dropped
 _SMOOTH = ("q", "dq", "ddq", "ql")
 
 
-def resample(log: Log) -> Log:
-    """The log on a uniform grid, one a trajectory.
+def resampled(log: Log) -> tuple[Log, tuple[int, ...]]:
+    """The log on a uniform grid, one a trajectory, and which trajectory of it each one was part of.
 
     The step is the median step of the trajectory, and one step for all of them if theirs agree
     within 1 %. Time stamps that are uniform already are only set straight. A gap longer than
@@ -42,8 +48,10 @@ def resample(log: Log) -> Log:
     warnings: list[str] = []
     pieces: list[Log] = []
     steps: list[float] = []
-    for trajectory, t in zip(log.trajectories(), stamps_of(log), strict=True):
+    runs: list[int] = []
+    for run, (trajectory, t) in enumerate(zip(log.trajectories(), stamps_of(log), strict=True)):
         own = _split_at_gaps(trajectory, t, warnings)
+        runs += [run] * len(own)
         # What was one trajectory has one step, however uneven its parts are.
         typical = [typical_step(x) for piece in own for x in stamps_of(piece)]
         pieces += own
@@ -58,8 +66,10 @@ def resample(log: Log) -> Log:
     result = [_onto_grid(piece, step, warnings) for piece, step in zip(pieces, steps, strict=True)]
     everything = tuple(dict.fromkeys([*log.warnings, *warnings]))
     if not warnings:  # stamps alone were set straight: signals are the log's own, and no copies
-        return log.replace(t=torch.cat([x.t for x in result]), warnings=everything)
-    return Log.concatenate(result).replace(source=log.source, warnings=everything)
+        even = log.replace(t=torch.cat([x.t for x in result]), warnings=everything)
+    else:
+        even = Log.concatenate(result).replace(source=log.source, warnings=everything)
+    return even, tuple(runs)
 
 
 def at_rate(log: Log, rate: float) -> Log:
@@ -68,7 +78,7 @@ def at_rate(log: Log, rate: float) -> Log:
     where one rate must come of several. What was done is said in the warnings.
 
     Args:
-        log: on a uniform grid, see `resample`.
+        log: on a uniform grid, as `Log.even` is.
         rate: [Hz]; trajectories that are all within 1 % of it and have one rate stay as they are.
 
     >>> import torch
@@ -96,48 +106,9 @@ def at_rate(log: Log, rate: float) -> Log:
     return Log.concatenate(pieces).replace(source=log.source, warnings=everything)
 
 
-@dataclass(frozen=True)
-class Steps:
-    """How even the time stamps of one trajectory are.
-
-    Attributes:
-        shortest, median, longest: steps [s].
-        gaps: number of steps longer than 3 median steps.
-    """
-
-    shortest: float
-    median: float
-    longest: float
-    gaps: int
-
-    def __str__(self) -> str:
-        text = (
-            f"steps of {1e3 * self.shortest:.3g} / {1e3 * self.median:.4g} / "
-            f"{1e3 * self.longest:.3g} ms (shortest / median / longest)"
-        )
-        if self.gaps == 0:
-            return text
-        return f"{text}, {self.gaps} gap{'s' if self.gaps > 1 else ''} of more than 3 steps"
-
-
-def time_steps(log: Log) -> list[Steps]:
-    """How even the time stamps are, one record a trajectory.
-
-    Raises:
-        LogError: time does not increase, or a trajectory has one sample only.
-    """
-    return [_steps(t) for t in stamps_of(log)]
-
-
-def _steps(t: np.ndarray) -> Steps:
-    d = np.diff(t)
-    median = float(np.median(d))
-    return Steps(float(d.min()), median, float(d.max()), int((d > SMALL_GAP * median).sum()))
-
-
 def _split_at_gaps(log: Log, t: np.ndarray, warnings: list[str]) -> list[Log]:
     """The pieces of a log of one trajectory between its long gaps."""
-    steps = _steps(t)
+    steps = Steps.of(t)
     # Slowly sampled logs have long steps that are no gaps.
     longest = max(SMALL_GAP * steps.median, min(LONG_GAP_S, LONG_GAP_STEPS * steps.median))
     breaks = np.flatnonzero(np.diff(t) > longest) + 1
@@ -184,7 +155,7 @@ def _onto_grid(log: Log, step: float, warnings: list[str]) -> Log:
         ).to(device)
         for name, values in log.signals.items()
     }
-    warnings.append(f"{log.names[0]}: time {_steps(t)}; resampled to {1e3 * step:.4g} ms.")
+    warnings.append(f"{log.names[0]}: time {Steps.of(t)}; resampled to {1e3 * step:.4g} ms.")
     return log.replace(
         t=torch.from_numpy(t[0] + step * np.arange(count)).to(device),
         **signals,

@@ -33,8 +33,8 @@ def with_side_files(
         LogError: a file without numbers, or of another time.
     """
     sources = [source for source in mapping.sources.values() if source is not None]
-    found = [m[1] for source in sources for c in source.columns if (m := _FILE.fullmatch(c))]
-    names = [n for n in dict.fromkeys(found) if (table.path.parent / n).is_file()]
+    files = [m[1] for source in sources for c in source.columns if (m := _FILE.fullmatch(c))]
+    names = [n for n in dict.fromkeys(files) if (table.path.parent / n).is_file()]
     if not names or not table.kind.startswith("csv"):
         return table
     here = _time_of(table)

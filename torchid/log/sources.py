@@ -31,7 +31,7 @@ class Piece:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the columns of the table that it is of."""
+        """Names of the columns that the piece is made of."""
         return (self.name,) if self.other is None else (self.name, self.other)
 
     def of(self, array: np.ndarray, label: str) -> np.ndarray:
@@ -44,10 +44,10 @@ class Piece:
         part = array if self.columns is not None else array.T
         if isinstance(index, list) and max(index) >= part.shape[1]:
             raise LogError(f"{label} has no column {max(index)}.", got=f"shape {array.shape}")
-        found = part[:, index]
-        if found.shape[1] == 0:
+        column = part[:, index]
+        if column.shape[1] == 0:
             raise LogError(f"{label}: no column is left.", got=f"shape {array.shape}")
-        return found
+        return column
 
 
 def resolve(key: str, source: Source, table: Table) -> tuple[Piece, ...]:
@@ -70,18 +70,18 @@ def _piece(key: str, text: str, table: Table) -> Piece:
         one, other = text[: m.start()].strip(), text[m.end() :].strip()
         if one in table.columns and other in table.columns:
             return Piece(one, other=other, times=-1.0 if m[0] == "-" else 1.0)
-    found = _INDEXED.fullmatch(text)
-    if found is None or found[1] not in table.columns:
-        raise _absent(key, found[1] if found else text, table)
-    rows, columns = _index(found[2]), _index(found[3])
+    match = _INDEXED.fullmatch(text)
+    if match is None or match[1] not in table.columns:
+        raise _absent(key, match[1] if match else text, table)
+    rows, columns = _index(match[2]), _index(match[3])
     if rows is None or columns is None or (rows == slice(None)) == (columns == slice(None)):
         raise LogError(
             f"`columns=...`: {key} cannot be understood.",
             got=text,
-            expected=f"columns {found[1]}[:,0:7] or {found[1]}[:,[2,0,1]], counted from 0; "
-            f"{found[1]}[0:7,:] where they are rows",
+            expected=f"columns {match[1]}[:,0:7] or {match[1]}[:,[2,0,1]], counted from 0; "
+            f"{match[1]}[0:7,:] where they are rows",
         )
-    name = found[1]
+    name = match[1]
     return Piece(name, columns=columns) if rows == slice(None) else Piece(name, rows=rows)
 
 
@@ -101,31 +101,31 @@ def _numbered(key: str, text: str, numbers: str, table: Table) -> list[str]:
     parts = [re.escape(part) for part in _NUMBERED.sub("\0", text).split("\0")]
     # The same number wherever it stands; leading zeros do not matter.
     pattern = re.compile(r"0*(\d+)".join(parts[:2]) + "".join(r"0*\1" + p for p in parts[2:]))
-    found = {int(m[1]): name for name in table.columns if (m := pattern.fullmatch(name))}
+    numbered = {int(m[1]): name for name in table.columns if (m := pattern.fullmatch(name))}
     counted = numbers in ("j", "j0")
     if ".." in numbers:
         first, last = (int(part) for part in numbers.split(".."))
         wanted = list(range(first, last + 1))
     elif counted:
         start = 1 if numbers == "j" else 0
-        wanted = list(range(start, start + len(found)))
+        wanted = list(range(start, start + len(numbered)))
     else:
         wanted = [int(part) for part in numbers.split(",")]
         if len(set(wanted)) < len(wanted):
             raise LogError(f"`columns=...`: {key} names a column twice.", got=text)
-    missing = [k for k in wanted if k not in found]
+    missing = [k for k in wanted if k not in numbered]
     if missing or not wanted:
-        got = sorted(found.values(), key=natural)
+        got = sorted(numbered.values(), key=natural)
         hint = None
-        if 0 in found and numbers == "j":
+        if 0 in numbered and numbers == "j":
             hint = f"{{j0}} counts from 0: {key}={text.replace('{j}', '{j0}')}"
-        elif found and counted:
-            ks = sorted(found)
+        elif numbered and counted:
+            ks = sorted(numbered)
             picked = ",".join(map(str, ks)) if ks[-1] - ks[0] >= len(ks) else f"{ks[0]}..{ks[-1]}"
             hint = f"numbers in braces pick some: {_NUMBERED.sub(f'{{{picked}}}', text)}"
-        absent = [_NUMBERED.sub(str(k), text) for k in missing] if found else []
+        absent = [_NUMBERED.sub(str(k), text) for k in missing] if numbered else []
         raise _absent(key, text, table, got=", ".join(got[:20]) or None, hint=hint, missing=absent)
-    return [found[k] for k in wanted]
+    return [numbered[k] for k in wanted]
 
 
 def _absent(

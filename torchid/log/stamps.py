@@ -1,6 +1,7 @@
 """Time stamps of a log's trajectories: whether they increase, and how many samples a second there
 are."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,41 @@ UNIFORM = 1e-3
 
 ROUNDING = 1e-6
 """Relative difference below which steps are one: stamps far from zero are rounded."""
+
+
+SMALL_GAP = 3.0
+"""Longer steps are counted as gaps, in median steps."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How even the time stamps of one trajectory are.
+
+    Attributes:
+        shortest, median, longest: steps [s].
+        gaps: number of steps longer than 3 median steps.
+    """
+
+    shortest: float
+    median: float
+    longest: float
+    gaps: int
+
+    @classmethod
+    def of(cls, t: np.ndarray) -> "Steps":
+        """How even stamps (T,) [s] are."""
+        d = np.diff(t)
+        median = float(np.median(d))
+        return cls(float(d.min()), median, float(d.max()), int((d > SMALL_GAP * median).sum()))
+
+    def __str__(self) -> str:
+        text = (
+            f"steps of {1e3 * self.shortest:.3g} / {1e3 * self.median:.4g} / "
+            f"{1e3 * self.longest:.3g} ms (shortest / median / longest)"
+        )
+        if self.gaps == 0:
+            return text
+        return f"{text}, {self.gaps} gap{'s' if self.gaps > 1 else ''} of more than 3 steps"
 
 
 def place_of(log: "Log", row: int) -> str:

@@ -76,7 +76,7 @@ class Table:
     def in_memory(
         cls, path: Path, kind: str, arrays: Mapping[str, np.ndarray], **known: Any
     ) -> "Table":
-        """Of arrays that are read already; what else is known are fields by name."""
+        """A table of arrays that are read already; what else is known are fields by name."""
         shapes = {name: array.shape for name, array in arrays.items()}
         return cls(
             path, kind, shapes, lambda names: {n: arrays[n] for n in names}, arrays=True, **known

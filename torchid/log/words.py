@@ -73,10 +73,10 @@ def unit_in(name: str, key: str) -> str | None:
 
 def without_unit(name: str) -> tuple[str, str]:
     """A name without what stands in brackets at its end, and that."""
-    found = _BRACKETED.search(name)
-    if found is None or found.start() == 0:
+    match = _BRACKETED.search(name)
+    if match is None or match.start() == 0:
         return name, ""
-    return name[: found.start()], (found[1] or found[2] or "").strip()
+    return name[: match.start()], (match[1] or match[2] or "").strip()
 
 
 def is_unit_word(word: str) -> bool:

@@ -70,12 +70,12 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
     # What is fitted anyway (a background) is known, not hidden.
     asked = [q for q in asked if q.name or q.truth.effects not in setting.fitted]
     if not asked:
-        found = [f"{e.effect} of joint {[j + 1 for j in e.joints]}" for e in record.which]
+        effects = [f"{e.effect} of joint {[j + 1 for j in e.joints]}" for e in record.which]
         raise TorchidError(
             f"'{source}' leaves nothing open that a motion could settle: "
             + ("every effect that a motion can bring about was testable, and every one found has "
                "one name." if not notes else "no motion settles the remainder."),
-            got="; ".join([f"status {record.status}", *(found or ["no effect found"]), *notes]),
+            got="; ".join([f"status {record.status}", *(effects or ["no effect found"]), *notes]),
             hint="the gap is unexplained: drive one trajectory twice, so that its noise is known"
             if record.status == "detected_unexplained" and record.noise_floor.source != "repeats"
             else None,
@@ -185,19 +185,19 @@ def _setting(record: GapRecord, robot: Robot) -> Setting:
     )
 
 
-def rivals(found: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
+def rivals(questions: Open, plain: FourierTrajectory) -> tuple[Rival, ...]:
     """Every member of every ambiguity as truth, against every other one; an alternative has the
     size with which it imitates the accepted effect on `plain`."""
-    rows = Rows(found.setting, plain)
+    rows = Rows(questions.setting, plain)
     out: list[Rival] = []
     sets: dict[Explanation, list[str]] = {}
-    for question in found.questions:
+    for question in questions.questions:
         if question.name:
             sets.setdefault(question.truth, []).append(question.name)
         else:
             out.append(_seen(question, rows))
     for truth, names in sets.items():
-        out += _among(truth, names, found.setting.robot, rows)
+        out += _among(truth, names, questions.setting.robot, rows)
     return tuple(out)
 
 

@@ -156,8 +156,8 @@ def excite_for(
             harmonics=harmonics, duration=duration, clearance=clearance,
             progress=stage(progress, "designing"),
         )  # fmt: skip
-    found = open_questions(record, robot, source)
-    limits = TorqueLimits.of(found.setting.robot, found.setting.given, CORRECTED, usage)
+    questions = open_questions(record, robot, source)
+    limits = TorqueLimits.of(questions.setting.robot, questions.setting.given, CORRECTED, usage)
     plain = excite(
         robot, effects=(), seed=seed, restarts=restarts, torque=limits, usage=usage,
         harmonics=harmonics, duration=duration, clearance=clearance,
@@ -165,7 +165,7 @@ def excite_for(
     ).trajectory  # fmt: skip
     # 75: trajectories that the search for a separating motion tries a restart
     made = design_separation(
-        found.setting, rivals(found, plain), plain, seed=seed, usage=usage, clearance=clearance,
-        evaluations=75 * restarts, progress=stage(progress, "separating"),
+        questions.setting, rivals(questions, plain), plain, seed=seed, usage=usage,
+        clearance=clearance, evaluations=75 * restarts, progress=stage(progress, "separating"),
     )  # fmt: skip
-    return replace(made, kind=found.kind, notes=found.notes)
+    return replace(made, kind=questions.kind, notes=questions.notes)

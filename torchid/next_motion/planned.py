@@ -110,13 +110,13 @@ class Planned:
             case [Separation() as one]:
                 record = separation_record(one)
             case [Excitation() as first, *_]:
-                found = [x for x in self.designs if isinstance(x, Excitation)]
+                excitations = [x for x in self.designs if isinstance(x, Excitation)]
                 return {
                     "criterion": first.criterion,
                     "basis": first.base.basis,
-                    "condition_number_before": [x.start_condition for x in found],
-                    "condition_number_after": [x.condition_after for x in found],
-                    "hardly_better": [x.hardly for x in found],
+                    "condition_number_before": [x.start_condition for x in excitations],
+                    "condition_number_after": [x.condition_after for x in excitations],
+                    "hardly_better": [x.hardly for x in excitations],
                 }
             case _:
                 return {}
@@ -246,8 +246,8 @@ def clearance_of(
 ) -> tuple[Clearance | None, tuple[str, ...]]:
     """What the robot's motions are checked for, None where there is nothing; and what is not
     checked for want of knowledge, one sentence each."""
-    found = motion_clearance(robot, usage=usage, **vars(room))
-    return (found if len(found.pairs) else None), found.warnings
+    clearance = motion_clearance(robot, usage=usage, **vars(room))
+    return (clearance if len(clearance.pairs) else None), clearance.warnings
 
 
 def _designs(
@@ -275,8 +275,8 @@ def _designs(
     }
     out = []
     for k in range(asked.count if asked.kind == "optimised" else 0):
-        told = stage(progress, f"trajectory {k + 1} of {asked.count}", k, asked.count)
-        out.append(excite(robot, seed=asked.seed + k, progress=told, **shared))
+        reported = stage(progress, f"trajectory {k + 1} of {asked.count}", k, asked.count)
+        out.append(excite(robot, seed=asked.seed + k, progress=reported, **shared))
     return out
 
 

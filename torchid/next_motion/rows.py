@@ -65,7 +65,7 @@ class Rows:
 
     @property
     def cutoff(self) -> float:
-        """Of the samples' filter [Hz]."""
+        """Cut-off of the samples' filter [Hz]."""
         return self._samples.cutoff
 
     @property
@@ -80,7 +80,7 @@ class Rows:
         return self._samples.of(loads) * self._weight.unsqueeze(-1)
 
     def columns(self, group: Sequence[Effect], leaving: Group = ()) -> Float[Tensor, "R C"]:
-        """Of effects that share their coefficients (rows, C), joints and samples stacked.
+        """Columns (rows, C) of effects that share their coefficients, joints and samples stacked.
 
         Args:
             group: the effects.

@@ -103,22 +103,24 @@ def design_separation(
     # The plain motion and five more are tried before a pair is given up.
     first = [plain, *tried[:5]]
     seen = list(zip(*(separations(setting, rivals, x) for x in first), strict=True))
-    settled = [
-        k for k, told in enumerate(seen) if max(t.difference for t in told) > SAME_DIFFERENCE
+    decided = [
+        k
+        for k, differences in enumerate(seen)
+        if max(t.difference for t in differences) > SAME_DIFFERENCE
     ]
-    if not settled:
+    if not decided:
         raise TorchidError(
             "no motion settles what this diagnosis leaves open.",
             got=name_pairs(rivals) or "no rival acts on this arm",
             hint=other_means(r.truth.effect.name for r in rivals),
         )
-    wanted = tuple(rivals[k] for k in settled)
-    asked = [_pruned(setting, rivals[k], first) for k in _promising(settled, seen)]
+    wanted = tuple(rivals[k] for k in decided)
+    asked = [_pruned(setting, rivals[k], first) for k in _promising(decided, seen)]
     of_plain = separations(setting, asked, plain)
 
     def cost(batch: FourierTrajectory, pairs: Sequence[Rival]) -> Tensor:
         every = (separations(setting, pairs, batch.select(k)) for k in range(len(batch.q0)))
-        return torch.tensor([-_score(told) for told in every], dtype=torch.float64)
+        return torch.tensor([-_score(differences) for differences in every], dtype=torch.float64)
 
     def say(done: int) -> None:
         if progress is not None:
@@ -144,7 +146,7 @@ def design_separation(
         rivals=wanted,
         with_plain=tuple(separations(setting, wanted, plain)),
         after=tuple(separations(setting, wanted, best)),
-        hopeless=tuple(r for k, r in enumerate(rivals) if k not in settled),
+        hopeless=tuple(r for k, r in enumerate(rivals) if k not in decided),
         warnings=plain.warnings,
         torque=torque,
     )
@@ -177,15 +179,15 @@ def _pruned(setting: Setting, rival: Rival, tried: Sequence[FourierTrajectory]) 
     return replace(rival, others=tuple(rival.others[k] for k in near))
 
 
-def _hardly(told: Sequence[Discrimination], of_plain: Sequence[Discrimination]) -> bool:
+def _hardly(differences: Sequence[Discrimination], of_plain: Sequence[Discrimination]) -> bool:
     """Whether a plain motion, driven a tenth longer, comes as near to deciding all pairs."""
     longer = sum(min(t.reached * LONGER, 1.0) for t in of_plain)
-    return sum(min(t.reached, 1.0) for t in told) <= longer
+    return sum(min(t.reached, 1.0) for t in differences) <= longer
 
 
-def _score(told: Sequence[Discrimination]) -> float:
+def _score(differences: Sequence[Discrimination]) -> float:
     """About how many pairs are decided; and, where all or none are, how far they are from it."""
-    reached = np.array([max(t.reached, 1e-12) for t in told])
+    reached = np.array([max(t.reached, 1e-12) for t in differences])
     # 0.02: weight of the mean logarithm beside the share of decided pairs
     return float(np.mean(1 - np.exp(-reached)) + 0.02 * np.mean(np.log(reached)))
 

@@ -131,8 +131,8 @@ def _separation(rows: Rows, rival: Rival) -> Discrimination:
         left, columns = without(own, directions(other)), 0
     else:
         left, columns = rows.beside(whole, gone, base=True), rows.base_columns
-    told = _in_blocks(left.reshape(rows.torque.shape).square().sum(0), columns)
-    return Discrimination(float(left.square().sum()), min(told, _share(left, own) / SAME_SHARE))
+    samples = _in_blocks(left.reshape(rows.torque.shape).square().sum(0), columns)
+    return Discrimination(float(left.square().sum()), min(samples, _share(left, own) / SAME_SHARE))
 
 
 def _in_blocks(square: Float[Tensor, " R"], columns: int) -> float:
@@ -179,7 +179,7 @@ def imitation(
     joint's spring would imitate a torque offset by having no stiffness.
     """
     left = rows.beside(torque_of(truth, rows, leaving), leaving)
-    found: tuple[float, Explanation] | None = None
+    best: tuple[float, Explanation] | None = None
     for other in others:
         columns = rows.beside(rows.columns(other, leaving), leaving)
         used = list(other[0].essential or range(columns.shape[1]))
@@ -191,8 +191,8 @@ def imitation(
         x = torch.linalg.lstsq(part, left.unsqueeze(-1), driver="gelsd").solution.flatten()
         like = part @ x
         rest = float((left - like).square().sum())
-        if found is None or rest < found[0]:
+        if best is None or rest < best[0]:
             values = columns.new_zeros(columns.shape[1])
             values[used] = x / safe * (left.norm() / like.norm().clamp(min=1e-12))
-            found = rest, Explanation(tuple(other), tuple(values.tolist()))
-    return None if found is None else found[1]
+            best = rest, Explanation(tuple(other), tuple(values.tolist()))
+    return None if best is None else best[1]

@@ -5,7 +5,7 @@ the simulator. The second is what is new in the arm's log beside the simulator's
 problem (`torchid.gap.causes.earlier`): more of an effect, less of it, or one that only the arm has.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import torch
@@ -43,7 +43,7 @@ def effects_of(
     second = diagnose_torque(
         _with_its_load(first.corrected), real, settings=settings, pace=of("arm"), before=simulated
     )
-    new = [_one_sided(cause, second) for cause in second.causes if cause.when != BOTH]
+    new = [_torque_sided(cause, second) for cause in second.causes if cause.when != BOTH]
     differs = {(one.effect, one.at) for one in new}
     both = [c for c in (*first.causes, *second.causes) if (c.effect, c.at) not in differs]
     return tuple(sorted(new, key=lambda one: -one.share)), tuple(both), (first, second)
@@ -61,7 +61,7 @@ def _with_its_load(robot: Robot) -> Robot:
     return replace(robot.with_parameters(InertialParameters(pi)), effects=tuple(others))
 
 
-def _one_sided(cause: Cause, diagnosis: TorqueDiagnosis) -> OneSided:
+def _torque_sided(cause: Cause, diagnosis: TorqueDiagnosis) -> OneSided:
     """A cause that is new in the arm's log, with what the simulator has of it, none where that is
     not said."""
     simulator = {size.name: size.was or 0.0 for size in cause.sizes}
@@ -75,6 +75,14 @@ def _one_sided(cause: Cause, diagnosis: TorqueDiagnosis) -> OneSided:
             r.require_parameters("a pair").mass for r in (diagnosis.robot, diagnosis.corrected)
         )
         had, has = (float(mass[of].sum()) for mass in masses)
-    more: Side = "arm" if has >= had else "simulator"
+    return one_sided(cause, simulator, had, has)
+
+
+def one_sided(
+    cause: Cause, simulator: Mapping[str, float], had: float, has: float, **more: object
+) -> OneSided:
+    """A cause with what the simulator has of it, and how large it is there and on the arm."""
+    side: Side = "arm" if has >= had else "simulator"
     only = min(had, has) < NOTHING * max(had, has)
-    return OneSided(**structs.asdict(cause) | {"file": simulator}, more=more, only=only)
+    fields = structs.asdict(cause) | {"file": dict(simulator), **more}
+    return OneSided(**fields, more=side, only=only)

@@ -23,7 +23,6 @@ from torchid.doctor.samples import samples
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.log.filtering import central_difference, low_passed
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.pair.align import SAME_CLOCK, AlignedTrajectory, correlations
 from torchid.pair.record import Fault, FaultName, Side
 from torchid.robot.model import Robot, joint_list
@@ -342,7 +341,7 @@ def servo_laws(log: Log, robot: Robot | None) -> list[Law] | None:
     if log.u is None or log.tau is None:
         return None
     rows = []
-    for one in resample(log).trajectories():
+    for one in log.even.trajectories():
         assert one.u is not None
         assert one.tau is not None
         rate = one.rates[0]

@@ -7,8 +7,7 @@ Effects are causes that are new in one log beside the other, both fitted as one 
 earlier log and a later one: more of an effect, less of it, or one that only one of both has. They
 are not sought while the set-up is at fault, whose traces would look like effects.
 
-Logs without torque, of commands and positions alone, have servos that are compared instead: each
-side's by a diagnosis of its own log.
+Logs without torque, of commands and positions alone, have servos that are compared in the same way.
 """
 
 from collections.abc import Sequence
@@ -24,7 +23,7 @@ from torchid.effects.motion import Motion
 from torchid.errors import TorchidError
 from torchid.gap.describe.noise import white_level
 from torchid.gap.describe.where import where
-from torchid.gap.diagnosis import TorqueDiagnosis, Trace
+from torchid.gap.diagnosis import Trace
 from torchid.gap.record import NoiseFloor
 from torchid.gap.settings import GapSettings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
@@ -35,10 +34,11 @@ from torchid.pair.align import AlignedTrajectory, aligned_trajectories
 from torchid.pair.effects import Progress, effects_of
 from torchid.pair.faults import set_up_faults
 from torchid.pair.record import Difference, Fault, OneSided, PairRecord, ServoDifference, WherePair
-from torchid.pair.servos import servos_of
+from torchid.pair.servos import numbers_of, servos_of
+from torchid.results.answer import Diagnosis
 from torchid.results.cause import Cause
 from torchid.results.record import Result
-from torchid.robot.model import Robot
+from torchid.robot.model import Robot, joint_list
 from torchid.typing import Float, Tensor
 
 BAND = 20.0
@@ -61,8 +61,8 @@ class PairDiagnosis(Result):
 
     found: PairRecord
     robot: Robot | None
-    of_simulator: TorqueDiagnosis | None = None
-    of_arm: TorqueDiagnosis | None = None
+    of_simulator: Diagnosis | None = None
+    of_arm: Diagnosis | None = None
 
     def __repr__(self) -> str:
         return repr(self.found).replace("PairRecord", "PairDiagnosis", 1)
@@ -150,7 +150,10 @@ def compare_pair(
     say("looking at the set-up", 0, 1)
     faults = set_up_faults(robot, simulated, real, both)
     warnings: list[str] = [_BY_MOTION] if both[0].clock.by == "q" else []
+    which: tuple[OneSided, ...] | None = None
+    lacking = tuple[Cause, ...]()
     servos: tuple[ServoDifference, ...] | None = None
+    diagnoses: tuple[Diagnosis | None, Diagnosis | None] = (None, None)
     if not torques:
         own = robot is not None and commands
         warnings.append(_NO_TORQUES + (_OF_SERVOS if own else ""))
@@ -158,11 +161,11 @@ def compare_pair(
         say("servos", 0, 1)
         for log in (simulated, real):
             warnings += ask_first(robot, log, force=force).sentences
-        servos, more = servos_of(robot, simulated, real)
-        warnings += more
-    which: tuple[OneSided, ...] | None = None
-    lacking = tuple[Cause, ...]()
-    diagnoses: tuple[TorqueDiagnosis | None, TorqueDiagnosis | None] = (None, None)
+        which, lacking, sides = servos_of(robot, simulated, real, say)
+        diagnoses, servos = sides, tuple(numbers_of(sides, which))
+        warnings += [w for side in sides for w in side.warnings]
+        shares = sorted({one.joint for one in servos if one.per_kp})
+        warnings += [_RATIO.format(joint_list(shares))] if shares else []
     if faults or robot is None:
         warnings.append(_MEND_FIRST if faults else "without a ROBOT no effect can be named")
     elif torques:
@@ -193,6 +196,10 @@ _BY_MOTION = (
 )
 _NO_TORQUES = "not both logs hold torques, so only motion is compared"
 _OF_SERVOS = ", and the servos that commands and positions show"
+_RATIO = (
+    "{}: the motions leave a common factor of all torques open, so torques are compared as shares "
+    "of the gain kp"
+)
 _MEND_FIRST = "effects were not sought: mend the set-up first, whose traces look like effects"
 
 

@@ -1,148 +1,196 @@
-"""The servos of both sides, side by side: what commands and positions say where no torque is.
+"""Servos of both sides: what commands and positions say where no torque is.
 
-Each side's log is diagnosed alone, so neither clock nor rate of one touches the other. Parameters
-that are part of either answer are compared on the scale on which they are searched: logarithms of
-what is positive. Where the motions, or a robot without masses, leave a common factor of all torques
-open, torques are compared as shares of kp.
+The first question is what the simulator's log has: with its servos the model is the simulator. The
+second is what the arm's log has otherwise, each cause beside those servos. What is not named is the
+simulator's on both sides, one nuisance of both logs, and each cause is then asked of both: absent,
+as large in both, or new. Neither clock nor rate of one log touches the other.
+
+Where both have one number, it is between the two that either log wants alone. Of two logs that lose
+a and b with the other's number, both together lose no more than a b / (a + b): the parallel sum of
+their curvatures (Anderson and Duffin 1969), which they reach where they are alike.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 
 from torchid.effects.servo import INDEX, PARAMETERS, PER_KP, TORQUES, ServoParameter
 from torchid.log.model import Log
-from torchid.pair.record import ServoDifference
+from torchid.pair.effects import Progress, one_sided
+from torchid.pair.record import OneSided, ServoDifference
+from torchid.parallel.pace import Pace
 from torchid.position.data import WINDOW_S
-from torchid.position.diagnose import WORTHWHILE, diagnose_positions
+from torchid.position.diagnose import STAGES, diagnose_positions
 from torchid.position.diagnosis import PositionDiagnosis
-from torchid.position.fit import errors
+from torchid.position.effects import BY_NAME, KEPT
+from torchid.position.evidence import LeastFall
 from torchid.position.judge import value_interval
+from torchid.position.model import ServoArm
 from torchid.position.problem import MOST_WINDOWS, some_of
+from torchid.position.record import PositionFinding
+from torchid.position.servo_model import Motions, ServoModel
+from torchid.results.cause import Cause
 from torchid.robot.model import Robot
-from torchid.simulation.servo_loop import windows_of
-from torchid.statistics.proportion import HALF_95
-from torchid.typing import Bool, Tensor
+from torchid.simulation.servo_loop import body_near, windows_of
+from torchid.statistics.criteria import LIKELY
+from torchid.typing import Float, Tensor
+
+LATE = INDEX["delay"]
+DELAY = next(effect for effect in KEPT if "delay" in effect.parameters)
+Sides = tuple[PositionDiagnosis, PositionDiagnosis]
+"""The simulator's, and the arm's beside the simulator's servos."""
 
 
 def servos_of(
-    robot: Robot, simulated: Log, real: Log
-) -> tuple[tuple[ServoDifference, ...], tuple[str, ...]]:
-    """What the servos are on either side, with sentences for the user.
+    robot: Robot, simulated: Log, real: Log, say: Progress
+) -> tuple[tuple[OneSided, ...], tuple[Cause, ...], Sides]:
+    """Causes that one of both has more of, those that close most first; what the file lacks of
+    both; and the diagnoses of the simulator's log and of the arm's.
 
     Raises:
         LogError: a log that `diagnose_positions` cannot use.
     """
-    sides = [diagnose_positions(robot, log, trusted=True) for log in (simulated, real)]
-    needed = _needed(*sides)
-    rows: list[ServoDifference] = []
-    warnings = list(dict.fromkeys(w for side in sides for w in side.warnings))
-    for j in range(robot.n):
-        if any(bool(side.still[j]) for side in sides):
-            continue
-        ratio = any(bool(side.ratio_only[j]) for side in sides)
-        if ratio:
-            warnings.append(
-                f"joint {j + 1}: the motions leave a common factor of all torques open, so torques "
-                "are compared as shares of the gain kp"
-            )
-        rows += _joint(sides, j, ratio, needed[j])
-    loads = [any(f.effect == "payload" for f in side.findings) for side in sides]
-    if loads[0] != loads[1]:
-        whose, other = ("arm", "simulator") if loads[1] else ("simulator", "arm")
-        warnings.append(f"the {whose}'s motions show a load that the {other}'s do not show")
-    return tuple(rows), tuple(warnings)
+
+    def of(name: str) -> Pace:
+        return Pace(lambda stage, done, total: say(f"{name}: {stage}", done, total), STAGES)
+
+    first = diagnose_positions(robot, simulated, trusted=True, pace=of("simulator"))
+    arm = _simulator(first)
+    # Rods stay what an arm without masses is taken for.
+    arm = replace(arm, robot=robot) if robot.parameters is None else arm
+    second = diagnose_positions(arm.robot, real, trusted=True, start=arm, pace=of("arm"))
+    new = sorted(_new((first, second), arm), key=lambda one: -one.share)
+    differs = {(one.effect, one.joints) for one in new}
+    both = [c for c in first.answer.causes if (c.effect, c.joints) not in differs]
+    return tuple(new), tuple(both), (first, second)
 
 
-def _needed(simulated: PositionDiagnosis, real: PositionDiagnosis) -> Bool[Tensor, "n K"]:
-    """The few parameters of each joint that make the real servo move as the simulated one does.
-
-    One after the other, the parameter whose simulated value brings the real servo's motion nearest
-    to the simulated servo's takes that value, until what is left of the distance is no more than
-    could be seen. What follows from an inaccurate common factor of all
-    torques moves nothing, and is not taken.
-    """
-    data, other = real.data, simulated.servos.joint
-    now, k, n = real.servos.joint.clone(), len(PARAMETERS), real.servos.n
-    windows = some_of(windows_of(data.tracks, WINDOW_S), MOST_WINDOWS)
-    taken = torch.zeros(n, k, dtype=torch.bool)
-    for _ in range(k):
-        # The simulated servo, the real one, and the real one with each parameter of the other.
-        sets = now.repeat(2 + k, 1, 1)
-        sets[0] = other
-        for p in range(k):
-            sets[2 + p, :, p] = other[:, p]
-        plane = real.servos.plane.repeat(2 + k, 1)
-        error = errors(data, replace(real.servos, joint=sets, plane=plane), windows)
-        apart = (error - error[..., :1]).square() * windows.weight[:, None, None]
-        square = apart.sum((0, 1)) / windows.rows
-        best, which = square[:, 2:].min(1)
-        better = square[:, 1] > data.slight**2
-        better &= square[:, 1] - best > WORTHWHILE * square[:, 1]
-        if not bool(better.any()):
-            break
-        joints = better.nonzero().flatten()
-        now[joints, which[joints]] = other[joints, which[joints]]
-        taken[joints, which[joints]] = True
-    return taken
+def _simulator(first: PositionDiagnosis) -> ServoArm:
+    """The simulator's arm, whose commands come as late as they do before a log holds them."""
+    arm = first.corrected
+    joint = arm.servos.joint.clone()
+    joint[:, LATE] = (joint[:, LATE] - 0.5 * first.data.held).clamp(min=0.0)
+    servos = replace(arm.servos, joint=joint)
+    return replace(arm, servos=servos, scale=torch.ones_like(arm.scale))
 
 
-def _joint(
-    sides: Sequence[PositionDiagnosis], j: int, ratio: bool, needed: Bool[Tensor, " K"]
-) -> list[ServoDifference]:
-    """Parameters of one joint that either side's answer has. One differs that is needed
-    to make one servo move as the other, and whose intervals do not hold the same value; one that a
-    single side has was searched on both."""
-    found = [_Side(side, j) for side in sides]
-    out = []
-    for p in PARAMETERS:
-        if not any(p.name in side.names for side in found) or (ratio and p.name == "kp"):
-            continue
-        shared = ratio and p.name in TORQUES
-        (a, own_a), (b, own_b) = (side.value(p, shared) for side in found)
-        interval_a, interval_b = (
-            None if std is None else value_interval(p.name, value, std)
-            for value, std in ((a, own_a), (b, own_b))
-        )
-        if own_a is None or own_b is None:
-            differs = any(p.name in side.named for side in found)
-        else:
-            # Where the 95 % interval of the difference excludes zero.
-            apart = abs(math.log(b / a) if p.kind == "log" else b - a)
-            differs = apart > HALF_95 * math.hypot(own_a, own_b)
-        out.append(
-            ServoDifference(
-                j, p.name, PER_KP[p.unit] if shared else p.unit, shared, a, interval_a, b,
-                interval_b, differs and bool(needed[INDEX[p.name]]),
-            )
-        )  # fmt: skip
-    return out
-
-
+@dataclass(frozen=True, eq=False)
 class _Side:
-    """One side's answer about one joint."""
+    """One log with a model in which all is the simulator's but what is named."""
 
-    def __init__(self, found: PositionDiagnosis, j: int) -> None:
-        self.values = found.servos.joint[j]
-        self.names, self.covariance = found.known[j].names, found.known[j].covariance
-        self.gain = float(found.servos.of("kp")[j])
-        self.named = {s.name for f in found.findings if f.joint == j + 1 for s in f.sizes}
+    motions: Motions
+    model: ServoModel
 
-    def value(self, p: ServoParameter, shared: bool) -> tuple[float, float | None]:
-        """A value, or its share of kp, with its standard deviation, of a logarithm where it is
-        positive; no deviation where the side does not have the parameter."""
-        value = float(self.values[INDEX[p.name]])
-        if shared:
-            value /= self.gain
-        if p.name not in self.names:
-            return value, None
-        combination = torch.zeros(len(self.names), dtype=torch.float64)
-        combination[self.names.index(p.name)] = 1.0
-        if shared and p.kind == "log":
-            combination[self.names.index("kp")] = -1.0
-        elif shared:
-            combination /= self.gain
-            combination[self.names.index("kp")] = -value
-        return value, math.sqrt(max(float(combination @ self.covariance @ combination), 0.0))
+    @classmethod
+    def of(cls, found: PositionDiagnosis, model: ServoModel) -> "_Side":
+        """Of a diagnosis' motions. No row of a log tells when in a cycle commands come: delays are
+        each log's own."""
+        windows = some_of(windows_of(found.data.tracks, WINDOW_S), MOST_WINDOWS)
+        motions = Motions(found.data, windows)
+        model = model.freed(["delay"], motions.every)
+        return cls(motions, model.fitted(motions, 8, plane=True))
+
+    def losing(self, other: "_Side", cause: PositionFinding) -> tuple[float, float]:
+        """Nats by which the log is less likely with the other side's numbers of a cause, all that
+        is named besides fitted anew; and what a cause must be worth here."""
+        motions, model = self.motions, self.model
+        fall = LeastFall.beside(motions, model.servos)
+        if cause.effect in BY_NAME and cause.joints:
+            values = other.model.servos.joint.clone()
+            values[:, LATE] += 0.5 * (motions.data.held - other.motions.data.held)
+            theirs = ServoModel(replace(model.servos, joint=values), {})
+            here = (torch.arange(model.servos.n)[:, None] == torch.tensor(cause.joints)).any(1)
+            model = model.joined(theirs, here, BY_NAME[cause.effect].parameters)
+        else:  # what the whole arm carries or touches
+            data, robot = motions.data, other.motions.data.robot
+            body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
+            motions = replace(motions, data=replace(data, robot=robot, body=body))
+            servos = replace(model.servos, plane=other.model.servos.plane.clone())
+            model = replace(model, servos=servos, plane=False)
+        told = fall.told(model.fitted(motions, 8, plane=True).losses(motions))
+        at = list(cause.joints) or slice(None)
+        paid = fall.price + 0.5 * len(cause.parameters) * math.log(float(fall.samples[at].sum()))
+        return max(0.0, float(told[at].sum())), paid
+
+
+def _new(sides: Sides, arm: ServoArm) -> Iterator[OneSided]:
+    """Causes of the arm's log that are likelier there alone than nowhere, and than as large in the
+    simulator's."""
+    first, second = sides
+    named = [f for f in second.findings if (f.how_sure or 0.0) >= LIKELY]
+    mine = ServoModel(first.servos, {})
+    values = first.servos.joint.clone()
+    values[:, LATE] = arm.servos.joint[:, LATE] + 0.5 * second.data.held
+    for cause in named:
+        here = (torch.arange(len(values))[:, None] == torch.tensor(cause.joints)).any(1)
+        names = BY_NAME[cause.effect].parameters if cause.joints else ()
+        mine = mine.freed(names, here)
+        for k in (INDEX[name] for name in names):
+            values[here, k] = second.servos.joint[here, k]
+    plane = any(cause.effect == "plane_contact" for cause in named)
+    theirs = replace(first.servos, joint=values, plane=second.servos.plane)
+    simulator, real = _Side.of(first, mine), _Side.of(second, replace(mine, servos=theirs))
+    real = replace(real, model=replace(real.model, plane=plane))
+    # Half a row of either log hides when commands come.
+    hidden = 0.5 * sum(side.data.tracks.dt for side in sides)
+    for cause in named:
+        (a, _), (b, paid) = simulator.losing(real, cause), real.losing(simulator, cause)
+        told = a * b / max(a + b, 1e-300) - paid
+        sure = min(cause.how_sure or 0.0, 1 / (1 + math.exp(min(-told, 700.0))))
+        late = cause.parameters.get("delay", math.inf) - cause.was.get("delay", 0.0)
+        if sure < LIKELY or (cause.effect == DELAY.name and abs(late) < hidden):
+            continue
+        sizes = [
+            max((_strength(*one) for one in x.items()), default=0.0)
+            for x in (cause.was, cause.parameters)
+        ]
+        yield one_sided(cause.cause, cause.was, *sizes, how_sure=sure)
+
+
+def _strength(name: str, value: float) -> float:
+    """How large a number of a cause is: of a limit the lower one is more."""
+    neutral = PARAMETERS[INDEX[name]].neutral if name in INDEX else 0.0
+    return 1 / max(abs(value), 1e-300) if math.isinf(neutral) else abs(value - neutral)
+
+
+def numbers_of(sides: Sides, new: Sequence[OneSided]) -> Iterator[ServoDifference]:
+    """Parameters that either side's answer has, joint by joint, of joints that both move; one
+    differs that is of a cause that is new. Where the motions, or a robot without masses, leave a
+    common factor of all torques open, torques are compared as shares of kp."""
+    moves = ~torch.stack([side.still for side in sides]).any(0)
+    ratio = torch.stack([side.ratio_only for side in sides]).any(0)
+    differs = {
+        (p, j) for one in new for p in BY_NAME.get(one.effect, DELAY).parameters for j in one.joints
+    }
+    for j in moves.nonzero().flatten().tolist():
+        for p in PARAMETERS:
+            shared = bool(ratio[j]) and p.name in TORQUES and p.name != "kp"
+            (a, a_ci95), (b, b_ci95) = (_number(side, j, p, shared) for side in sides)
+            # Where the arm's is the simulator's, it is known as well as that.
+            b_ci95 = a_ci95 if b_ci95 is None and b == a else b_ci95
+            apart = (p.name, j) in differs
+            if apart or (not (a_ci95 is b_ci95 is None) and not (p.name == "kp" and ratio[j])):
+                unit = PER_KP[p.unit] if shared else p.unit
+                yield ServoDifference(j, p.name, unit, shared, a, a_ci95, b, b_ci95, apart)
+
+
+def _number(
+    found: PositionDiagnosis, j: int, p: ServoParameter, shared: bool
+) -> tuple[float, tuple[float, float] | None]:
+    """A value, or its share of kp, with its 95 % interval; none where a side does not have the
+    parameter."""
+    gain = float(found.servos.of("kp")[j]) if shared else 1.0
+    value = float(found.servos.of(p.name)[j]) / gain
+    if p.name == "delay":  # of commands, before a log holds them
+        value = max(0.0, value - 0.5 * found.data.held)
+    for one in found.known:
+        if one.joint == j and p.name in one.names:
+            way: Float[Tensor, " K"] = torch.zeros(len(one.names), dtype=torch.float64)
+            way[one.names.index(p.name)] = 1.0 if p.kind == "log" else 1 / gain
+            if shared and "kp" in one.names:  # else it is the simulator's
+                way[one.names.index("kp")] = -1.0 if p.kind == "log" else -value
+            std = math.sqrt(max(float(way @ one.covariance @ way), 0.0))
+            return value, value_interval(p.name, value, std)
+    return value, None

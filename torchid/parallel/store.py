@@ -42,7 +42,7 @@ class Store:
     def _kept(self) -> MemorizedFunc:
         backend = "fsspec" if is_url(self.place) else "local"
         try:
-            memory = Memory(self.place, backend=backend, compress=1, verbose=0)
+            memory = Memory(self.place, backend=backend, verbose=0)
             return memory.cache(_answer, ignore=["compute"])
         except (OSError, ValueError, ImportError) as error:  # no such protocol, or its package
             said = getattr(error, "strerror", None) or error

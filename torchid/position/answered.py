@@ -2,7 +2,7 @@
 there."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -10,9 +10,9 @@ from torch import Tensor
 
 from torchid.effects.servo import PLANE
 from torchid.parallel.pace import Pace
-from torchid.position.effects import BY_NAME, DELAY, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
+from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
 from torchid.position.evidence import LeastFall
-from torchid.position.file_servos import Followed, Worth, beside_file, weighing_otherwise
+from torchid.position.file_servos import Worth, beside_file, weighing_otherwise
 from torchid.position.payload import Loaded, with_load
 from torchid.position.problem import Problem
 from torchid.position.record import error_words
@@ -31,7 +31,7 @@ from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mos
 from torchid.results.answer import Answer
 from torchid.results.cause import Cause
 from torchid.robot.model import error_unit
-from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
+from torchid.statistics.criteria import ALIKE_LOSS, SET_MASS, WORTHWHILE
 from torchid.typing import Bool, Float
 
 SEVERAL = {
@@ -42,6 +42,9 @@ SEVERAL = {
 """Stages of a search for several effects on one joint, with their shares of the time [1]."""
 ANCHORS = ("kp", "armature", "offset")
 """Numbers of a file beside which a load is sought: free, they make up for most of it."""
+
+NEAR = math.log(SET_MASS / (1 - SET_MASS))
+"""Evidence up to which neither of two answers is sure [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +66,18 @@ class Answered:
     rivals: Rivals
     load: Loaded | None = None
     by_file: Bool[Tensor, " n"] | None = None
+
+    @property
+    def causes(self) -> tuple[tuple[str, int | None], ...]:
+        """Effects and joints that are worth a name, None of what all joints feel; without gravity,
+        which is settled first."""
+        out = list[tuple[str, int | None]]()
+        for name, (without, _) in self.worth.items():
+            if name in BY_NAME and BY_NAME[name].parameters:
+                out += [(name, j) for j, on in enumerate(without.isfinite().all(0)) if on]
+            elif name != GRAVITY.name:
+                out.append((name, None))
+        return tuple(out)
 
 
 class EarlyAnswer:
@@ -133,7 +148,7 @@ def best_answer(
     if file is not None:
         single = SingleEffects(file.model, ~few.every, {})
         if pace.has_time(*others_than_core):
-            single = _beside_file_servos(problem, file.model, early)
+            single = _beside_file_servos(few, file.model, problem.simple.free, early)
         before, after = (m.losses(few) for m in (begun, single.model))
         begun = single.model.joined(begun, before <= after)
     loaded, others = None, tuple[str, ...]()
@@ -141,16 +156,17 @@ def best_answer(
         single = SingleEffects(begun, ~few.every, {})
         if pace.has_time(*others_than_core):
             single = best_single_effect_per_joint(few, begun, early)
-        pace("a load")
-        if pace.has_time("a load", "a load"):
-            loaded, single, others = _or_a_load(few, begun, single, file)
+        if file is None:
+            pace("a load")
+            if pace.has_time("a load", "a load"):
+                loaded, single, others = _or_a_load(few, begun, single)
         whole = bool(single.explained.all())
         if not whole and pace.has_time("several effects on one joint", *SEVERAL):
             several = full(few, pace)
             several = _no_worse(few, begun, several)
             several = _no_worse(few, single.model, several)
             single = replace(single, model=with_usual_effects(few, several))
-            loaded = _with_load(few, single.model, file)
+            loaded = with_load(few, single.model) if file is None and few.data.weighed else None
     pace("what each effect is worth")
     motions, model = few, settled(few, single.model)
     worth, rivals = Worth(), Rivals()
@@ -165,17 +181,26 @@ def best_answer(
         if float(gain.sum()) > squares * float(losses[0].sum()) and bool(mostly_better(gain)):
             worth[PAYLOAD.name], rivals[PAYLOAD.name, None] = losses, others
             motions, model = loaded.motions, settled(loaded.motions, loaded.model)
-    needed, worth_of_needed, rivals_of_needed = _needed(motions, model, squares)
     rivals |= {at: names for at, names in single.rivals.items() if bool(single.explained[at[1]])}
+    loaded = loaded if PAYLOAD.name in worth else None
+    answered = _with_needed(problem, Answered(motions, model, worth, rivals, loaded))
+    if file is None or not few.data.weighed or not pace.has_time("a load", "a load"):
+        return answered
+    pace("a load")
+    return _or_a_load_beside_file(problem, answered)
+
+
+def _with_needed(problem: Problem, found: Answered) -> Answered:
+    """What was found with what is needed of it alone, beside the file's servos if there are any."""
+    motions, file, squares = found.motions, problem.file, problem.squares
+    needed, worth, rivals = needed_effects(motions, found.model, squares)
     # More windows move what has settled in few by little: one round, over three times as many.
     model = needed.fitted(replace(problem.more, data=motions.data), 2, plane=True)
-    answered = Answered(
-        motions, model, worth | worth_of_needed, rivals | rivals_of_needed,
-        loaded if PAYLOAD.name in worth else None,
-    )  # fmt: skip
+    searched = found.rivals | rivals
+    answered = replace(found, model=model, worth=found.worth | worth, rivals=searched)
     if file is None:
         return answered
-    servos, searched = file.model.servos, answered.rivals
+    servos = file.model.servos
     model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
     rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
     # What follows no better than the file's servos is no reason for others.
@@ -187,6 +212,83 @@ def best_answer(
             worth[name] = worth[name][0].masked_fill(near, torch.nan), worth[name][1]
     worth = {name: losses for name, losses in worth.items() if bool(losses[0].isfinite().any())}
     return replace(answered, model=model, worth=worth, rivals=rivals, by_file=by_file)
+
+
+def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:
+    """The answer, or the one of an arm with a load whose servos are the file's but for what they
+    lack yet, where that is likelier; where neither is, each has the other's names beside it.
+
+    A load is one cause, with one price, of what all joints show.
+    """
+    few, file = problem.few, problem.file
+    assert file is not None
+    least = LeastFall.beside(few, answered.model.servos)
+    paid, one = (_paid(least, causes) for causes in (answered.causes, [(PAYLOAD.name, None)]))
+    if paid < one and bool((least.left <= few.slight).all()):
+        return answered
+    load = _beside_anchors(few, file.model, answered, least)
+    if load is None:
+        return answered
+    free = {**load.model.free, **problem.simple.free}
+    heavy = _beside_file_servos(load.motions, load.model, free, None).model
+    heavy = settled(load.motions, heavy)
+    # What the servos named beside it leave without it.
+    held = {name: on for name, on in heavy.free.items() if name not in ANCHORS}
+    bare = replace(heavy, free=held).fitted(few, 8)
+    losses = few.losses(bare.servos), load.motions.losses(heavy.servos)
+    worth = {name: x for name, x in answered.worth.items() if name == GRAVITY.name}
+    worth[PAYLOAD.name] = losses
+    other = _with_needed(problem, Answered(load.motions, heavy, worth, Rivals(), load))
+    told = float(least.told(other.model.losses(load.motions)).sum())
+    gain = paid - _paid(least, other.causes) - told
+    best, second = (other, answered) if gain > 0 else (answered, other)
+    if abs(gain) > NEAR:
+        return best
+    # Each cause that one of them alone has stands beside the other's.
+    rivals, others = dict(best.rivals), tuple(dict.fromkeys(name for name, _ in second.causes))
+    for at in set(best.causes) - set(second.causes):
+        rivals[at] = rivals.get(at, ()) + ((PAYLOAD.name,) if best is answered else others)
+    return replace(best, rivals=rivals)
+
+
+def _beside_anchors(
+    few: Motions, file: ServoModel, answered: Answered, least: LeastFall
+) -> Loaded | None:
+    """A load beside gains and inertias of the file, but on joints where another gain is worth its
+    price beside a load, too: of the two that follow worst the better."""
+
+    def beside(own: Tensor) -> tuple[Loaded | None, Tensor]:
+        model = answered.model.joined(file, ~own, ANCHORS)
+        free = {k: on & own if k in ANCHORS else on for k, on in model.free.items()}
+        model = replace(model, free=free).fitted(few, 3)
+        load = with_load(few, model)
+        return load, model.losses(few) if load is None else load.model.losses(load.motions)
+
+    load, left = beside(own := ~few.every)
+    others = torch.zeros_like(own)
+    others[[j for name, j in answered.causes if name == GAINS[0].name and j is not None]] = True
+    while bool((others & (left > few.slight)).any()):
+        worst = least.told(left).masked_fill(~others, -math.inf).topk(min(2, int(others.sum())))
+        ways = [own | (torch.arange(len(own)) == j) for j in worst.indices]
+        tried = [(*beside(way), way) for way in ways]
+        best = min(tried, key=lambda one: (one[0] is None, float(least.told(one[1]).sum())))
+        if best[0] is None or float((least.told(left) - least.told(best[1])).sum()) < least.price:
+            break
+        load, left, own = best
+        others &= ~own
+    return load
+
+
+def _paid(least: LeastFall, causes: Collection[tuple[str, int | None]]) -> float:
+    """What causes cost, each as much as samples tell of its numbers [nats]; gains of one joint,
+    which a weaker servo has all of, share a price."""
+    gains = {effect.name for effect in GAINS}
+    out = least.price * len({("" if name in gains else name, j) for name, j in causes})
+    for name, j in causes:
+        numbers = 4 if name == PAYLOAD.name else len(BY_NAME[name].parameters or PLANE)
+        samples = float(least.samples[slice(None) if j is None else j].sum())
+        out += 0.5 * numbers * math.log(samples)
+    return out
 
 
 def _weighing_as_log(problem: Problem) -> Problem:
@@ -204,48 +306,28 @@ def _weighing_as_log(problem: Problem) -> Problem:
     return other if min(map(float, falls)) > math.log(ALIKE_LOSS) else problem
 
 
-def _with_load(few: Motions, model: ServoModel, file: Followed | None) -> Loaded | None:
-    """A load beside servos, whose torques are in the scale of the file's gains and inertias where
-    that follows as well."""
-    if not few.data.weighed:
-        return None
-    load = with_load(few, model)
-    if file is None:
-        return load
-    anchored = model.joined(file.model, few.every, ANCHORS)
-    anchored = replace(anchored, free={k: v for k, v in model.free.items() if k not in ANCHORS})
-    scaled = with_load(few, anchored.fitted(few, 3))
-    if scaled is None or (load is not None and _left(scaled) > ALIKE_LOSS * _left(load)):
-        return load
-    return replace(scaled, model=replace(scaled.model, free=model.free))
-
-
-def _left(load: Loaded) -> float:
-    return float(load.model.losses(load.motions).sum())
-
-
 def _beside_file_servos(
-    problem: Problem, file: ServoModel, early: EarlyAnswer | None
+    few: Motions, file: ServoModel, free: Mapping[str, Tensor], early: EarlyAnswer | None
 ) -> SingleEffects:
-    """One number a joint beside what a file's servos have, and gains refitted."""
-    few = problem.few
+    """One number a joint beside what a file's servos have, and gains and what else is free
+    refitted."""
     # How late commands come within a sample is no cause.
     fixed = replace(file, free={"delay": few.every})
     effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
     single = best_single_effect_per_joint(few, fixed, early, effects).model
-    freed = replace(single, free={**problem.simple.free, **single.free})
+    freed = replace(single, free={**free, **single.free})
     model = freed.fitted(few, 8, plane=True)
     # What came as near before the gains were refitted is no rival yet.
     return SingleEffects(model, model.losses(few) <= few.slight, {})
 
 
 def _or_a_load(
-    few: Motions, simple: ServoModel, single: SingleEffects, file: Followed | None
+    few: Motions, simple: ServoModel, single: SingleEffects
 ) -> tuple[Loaded | None, SingleEffects, tuple[str, ...]]:
     """A load with single effects beside it, where that explains the motions better than single
     effects alone; and names of what explains them as well."""
     enough = bool((simple.losses(few) <= few.slight).all())
-    load = None if enough else _with_load(few, simple, file)
+    load = None if enough or not few.data.weighed else with_load(few, simple)
     if load is None:
         return None, single, ()
     # One cause of what all joints show, where no more is needed, comes before several.
@@ -261,7 +343,7 @@ def _or_a_load(
     others = tuple[str, ...]()
     if complete and without < ALIKE_LOSS * with_it:
         present = (e for e in EFFECTS if bool(single.model.where(e).any()))
-        others = tuple(e.name for e in present if e.name not in KEPT)
+        others = tuple(e.name for e in present if e not in KEPT)
     # The servos without the load stay those that it is held against.
     explained = replace(heavy, model=single.model)
     return replace(load, model=heavy.model), explained, others
@@ -276,13 +358,13 @@ def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoM
     return model.joined(simple, simple.losses(motions) - least.left < call)
 
 
-def _needed(
+def needed_effects(
     motions: Motions, model: ServoModel, squares: float
 ) -> tuple[ServoModel, Worth, Rivals]:
     """A model of the effects without which motion after motion is followed worse, all others
     refitted; losses without each and with it; and what stands for it as well."""
     whole, n = motions.losses(model.servos), model.servos.n
-    least, usual = LeastFall.beside(motions, model.servos), motions.data.usual_delay
+    least, usual = LeastFall.beside(motions, model.servos), motions.data.usual
     without: dict[str, Float[Tensor, "W n"]] = {}
     needed: dict[str, Bool[Tensor, " n"]] = {}
     for effect in EFFECTS:
@@ -291,6 +373,11 @@ def _needed(
             continue
         less = model.without(effect, has, usual).fitted(motions, 8)
         losses = motions.losses(less.servos)
+        # A joint loses no more than where it alone lacks the effect, and nothing gives way.
+        for j in has.nonzero().flatten().tolist() if effect.parameters else ():
+            alone = motions.losses(model.without(effect, torch.arange(n) == j, usual).servos)[:, j]
+            if float(alone.sum()) < float(losses[:, j].sum()):
+                losses[:, j] = alone
         gain, total = motions.each(losses - whole), losses.sum(0)
         call = least.of(len(effect.parameters or PLANE))
         if not effect.parameters:  # a plane is there for all joints or for none
@@ -298,14 +385,14 @@ def _needed(
             call = call.sum().expand(n)
         often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)
         keep = has & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
-        if effect is DELAY:
-            keep &= model.servos.of("delay") > usual
+        if effect in KEPT:
+            keep &= model.beyond(effect, usual)
         without[effect.name], needed[effect.name] = losses, keep
     lean = model
     for name, keep in needed.items():
         needless = model.where(BY_NAME[name]) & ~keep
         # Delay and offset are numbers of any servo: they stay, unnamed.
-        if name not in KEPT and bool(needless.any()):
+        if BY_NAME[name] not in KEPT and bool(needless.any()):
             lean = lean.without(BY_NAME[name], needless, usual)
     lean, rivals = lean.fitted(motions, 2), Rivals()
     left_by_lean = motions.losses(lean.servos)
@@ -316,7 +403,7 @@ def _needed(
         alike = [
             name
             for name, keep in needed.items()
-            if name not in KEPT and bool(model.where(BY_NAME[name])[j] & ~keep[j])
+            if BY_NAME[name] not in KEPT and bool(model.where(BY_NAME[name])[j] & ~keep[j])
         ]
         if not alike:
             continue

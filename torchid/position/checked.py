@@ -16,6 +16,7 @@ from torchid.position.record import Accuracy
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import windows_of
+from torchid.statistics.blocks import block_numbers, block_sums
 from torchid.statistics.resampling import (
     DRAWS,
     nested_weights,
@@ -144,21 +145,6 @@ def folds_of(motions: int, count: int = FOLDS) -> Int[Tensor, " m"]:
     return torch.arange(motions) % min(count, motions)
 
 
-def _block_sums(
-    data: PositionData, *errors_of: Float[Tensor, "T n"]
-) -> tuple[Float[Tensor, "k B n"], np.ndarray]:
-    """Mean squares of errors over blocks of 2 s, times their rows; and which motion each block is
-    of. The last one is of the rows [1]."""
-    size = max(1, round(WINDOW_S / data.tracks.dt))
-    squares = torch.stack([*(x.square() for x in errors_of), torch.ones_like(data.q)])
-    blocks, owner = list[Tensor](), list[int]()
-    for motion, rows in enumerate(data.slices):
-        parts = squares[:, rows].split(size, 1)
-        blocks += [part.sum(1) for part in parts]
-        owner += [motion] * len(parts)
-    return torch.stack(blocks, 1), np.array(owner)
-
-
 def closed_interval(
     data: PositionData,
     before: Float[Tensor, "T n"],
@@ -175,9 +161,14 @@ def closed_interval(
         moves: joints that count.
         noise: mean squares that no model closes.
     """
-    sums, owner = _block_sums(data, before, after)
+    block = block_numbers(data.slices, max(1, round(WINDOW_S / data.tracks.dt)))
+    # Of which motion each block is.
+    owner = torch.searchsorted(block[data.tracks.last], torch.arange(int(block[-1]) + 1)).numpy()
     weights = torch.from_numpy(nested_weights(owner, DRAWS, np.random.default_rng(0)))
-    *squares, rows = (weights @ x for x in sums[..., moves])
+    *squares, rows = (
+        weights @ block_sums(x.T[moves], block).T
+        for x in (before.square(), after.square(), torch.ones_like(before))
+    )
     first, last = (x / rows.clamp(min=1) for x in squares)
     return percentile_interval(closed_share(first, last, noise[moves]).numpy())
 

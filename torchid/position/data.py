@@ -1,6 +1,7 @@
 """What logs of commands and positions become before servos are fitted to them."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,6 +24,7 @@ from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near, compensation
 from torchid.statistics.criteria import BODY_STD, SLIGHT_ERROR
+from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
 
 UNEVEN_RATE = 0.02
@@ -56,6 +58,10 @@ GEARED = 1.7
 """Factor between commands and positions from which a search begins with it [1]."""
 PROPORTIONAL = 0.95
 """Share of the commands' variance that a servo without limits explains, where it is one [1]."""
+
+
+Usual = Mapping[str, Float[Tensor, " n"]]
+"""By number that every servo has, the size (n,) up to which it is no cause."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,11 +170,19 @@ class PositionData:
         own = share.square().sum(0).sqrt().clamp(max=1.0)
         return BODY_STD * torch.where(square > 1e-9 * square.amax(), own, 1.0)
 
-    @property
-    def usual_delay(self) -> float:
-        """Delay [s] that is no cause: a command is held until the next one, half a sample late on
-        average, from some instant of the bus's cycle on, which no row of a log tells."""
-        return self.tracks.dt + 0.5 * self.held
+    @cached_property
+    def usual(self) -> Usual:
+        """Of delays and offsets.
+
+        A command is held until the next one, half a sample late on average, from some instant of
+        the bus's cycle on, which no row of a log tells. And of an arm's mean weight on a joint all
+        that its masses may be wrong by is a constant torque; of rods nothing is known.
+        """
+        rows = self.q[:: max(1, len(self.q) // GRAVITY_ROWS)]
+        weight = gravity_torque(self.robot, rows).mean(0).abs()
+        unsure = HALF_95 * self.torque_std if self.weighed else torch.ones_like(weight)
+        late = torch.full_like(weight, self.tracks.dt + 0.5 * self.held)
+        return {"delay": late, "offset": unsure * weight}
 
     @property
     def outwards(self) -> Float[Tensor, "3"]:
@@ -252,7 +266,7 @@ def missing_commands(log: Log) -> tuple[str, ...]:
             continue
         # The longest run of missing rows.
         runs = torch.where(gone, 0, 1).cumsum(0)[gone].bincount()
-        step = float(log.t[log.slices()[0]].diff().median())
+        step = log.steps[0].median
         out.append(
             f"joint {j + 1}: {int(gone.sum())} of {log.samples} commands are missing, at most "
             f"{float(runs.max()) * step:.3g} s of them in a row: the one before is held."

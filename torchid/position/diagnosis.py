@@ -97,7 +97,7 @@ class PositionDiagnosis(Diagnosis):
             shares of kp (`kd/kp`), and those of `servos` are one choice of many.
         unanchored: those of them of which not even the file's masses or gains tell that factor.
         commanded: the position is the command.
-        plain_servo: one with gain, damping, dry friction, inertia, offset and a usual delay,
+        plain_servo: one with gain, damping, dry friction, inertia, and a usual offset and delay,
             refitted to the log and held out.
         answered: the answered model, held out.
         file: the servos of the robot's file as they are; None where it has none.

@@ -6,7 +6,7 @@ from torchid.effects.servo import SERVO_KINDS, ServoEffect
 CORE = ("kp", "damping", "armature", "delay", "offset", "coulomb")
 """What every fit has: a gain, viscous and dry friction, an inertia, a delay and an offset."""
 KEPT_NUMBERS = ("delay", "offset")
-"""Of them those that are causes even where no file has others."""
+"""Of them those that are causes beyond what is usual even where no file has others."""
 
 _FAMILIES = {"speed": "friction", "sign": "friction", "constant": "servo", "transient": "world"}
 """Families, in this answer, of effects that add torque."""
@@ -46,8 +46,7 @@ GAINS = tuple(e for e in _SERVOS if e.parameters and {*e.parameters} <= {*CORE} 
 EFFECTS = (*(e for e in _SERVOS if e not in GAINS and e != GRAVITY), _effect("plane_contact"))
 """What plain servos may lack."""
 BY_NAME = {effect.name: effect for effect in (*EFFECTS, *GAINS)}
-DELAY = BY_NAME["command_delay"]
-KEPT = tuple(e.name for e in EFFECTS if {*e.parameters} & {*KEPT_NUMBERS})
+KEPT = tuple(e for e in EFFECTS if {*e.parameters} & {*KEPT_NUMBERS})
 """Effects that are part of every model, named or not."""
 
 

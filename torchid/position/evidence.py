@@ -79,6 +79,10 @@ class LeastFall:
         price = price_of(len(EFFECTS) * int((~motions.data.still).sum()))
         return cls(left, floor, samples.clamp(min=2.0), price)
 
+    def told(self, losses: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """Nats by which the log is less likely with servos that leave these losses [rad^2]."""
+        return 0.5 * self.samples * ((losses + self.floor) / (self.left + self.floor)).log()
+
     def of(self, numbers: float | Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Of a cause with so many numbers [rad^2]: each costs as much as samples tell of it."""
         paid = self.price + 0.5 * numbers * self.samples.log()

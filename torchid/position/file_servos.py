@@ -73,11 +73,11 @@ def follows(
 
 def _as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:
     """Servos of a robot's file, each as it is nearest to the log: as said, later by what commands
-    are held by, or without a limit of torque, which files have behind the damping and servos
-    before it."""
+    are held by, or without a limit of torque, where the file has it behind a damping that servos
+    have behind the limit."""
     ways = servos.joint.repeat(4, 1, 1)
     ways[1::2, :, INDEX["delay"]] += 0.5 * motions.data.held
-    ways[2:, :, INDEX["clip"]] = math.inf
+    ways[2:, servos.of("damping_share") > 0, INDEX["clip"]] = math.inf
     cost = [motions.losses(replace(servos, joint=way)).sum(0) for way in ways]
     joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
     fixed = {*core, "damping_share"}
@@ -161,8 +161,7 @@ def _needed(
     """Joints that are followed worse without a number, by at least so much (n,), on most
     motions."""
     gain = motions.each(without - whole)
-    worse = gain.sum(0) > least
-    return worse & mostly_better(gain)
+    return (gain.sum(0) > least) & mostly_better(gain)
 
 
 def _with_files_number(

@@ -201,6 +201,52 @@ def mean_square(residual: Tensor, w: Tensor, windows: Windows) -> Float[Tensor, 
     return (residual.square() * w).sum((0, 1)) / windows.rows
 
 
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is free of servos, and what pulls it.
+
+    Attributes:
+        names: of K parameters.
+        mask: (n, K) where they are free.
+        begun: (n, K) coordinates that a prior pulls towards.
+    """
+
+    names: tuple[str, ...]
+    mask: Bool[Tensor, "n K"]
+    begun: Float[Tensor, "n K"]
+
+    @classmethod
+    def of(cls, servos: Servos, free: Mapping[str, Tensor]) -> "_Search":
+        """From where these servos are."""
+        names = tuple(name for name, joints in free.items() if bool(joints.any()))
+        none = torch.zeros(servos.n, 0, dtype=torch.bool)
+        mask = torch.stack([free[name] for name in names], 1) if names else none
+        return cls(names, mask, searched(servos)[:, [INDEX[name] for name in names]])
+
+    @property
+    def at(self) -> list[int]:
+        """Indices of the names."""
+        return [INDEX[name] for name in self.names]
+
+    def equations(
+        self, s: Sensitivities, there: Float[Tensor, "n P"], data: PositionData, windows: Windows
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """(n, K, K) gram and (n, K) pull of residuals and a prior at coordinates, with Huber's
+        weights, and the prior's precision."""
+        w = weights(s.residual, windows)
+        square = mean_square(s.residual, w, windows)
+        precision = prior_precision(self.names, square, TOGETHER_S / data.tracks.dt)
+        a = (s.slope * w.sqrt()[..., None]).flatten(0, 1).transpose(0, 1).contiguous()
+        b = (s.residual * w.sqrt()).flatten(0, 1).T
+        gram = a.mT @ a + torch.diag_embed(precision)
+        away = (there[:, self.at] - self.begun).nan_to_num(nan=0.0)
+        pull = (a.mT @ b[..., None])[..., 0] + precision * away
+        # What is not free has a unit equation of its own, with the answer 0.
+        both = self.mask[:, :, None] & self.mask[:, None, :]
+        gram = torch.where(both, gram, torch.eye(len(self.names), dtype=gram.dtype))
+        return gram, torch.where(self.mask, pull, 0.0), precision
+
+
 def fit(
     data: PositionData,
     servos: Servos,
@@ -218,50 +264,34 @@ def fit(
         free: parameters to search, each with the joints (n,) on which it is free.
         windows: of the motions.
         plane: whether to search the plane's numbers too.
-        iterations: of Gauss-Newton, at most; they end where no joint's loss falls much.
+        iterations: of Gauss-Newton, at most, every second one with the slopes of that before, which
+            costs a fifth; they end where no joint's loss falls much.
     """
-    free = {name: joints for name, joints in free.items() if bool(joints.any())}
-    if not plane and not free:
+    search = _Search.of(servos, free)
+    if not plane and not search.names:
         return servos
-    names = tuple(free)
-    at = torch.tensor([INDEX[name] for name in names], dtype=torch.long)
-    mask = torch.stack([*free.values()], 1) if free else torch.zeros(servos.n, 0, dtype=torch.bool)
-    origin, damping = searched(servos), torch.full((servos.n,), 1e-3, dtype=torch.float64)
-    plane_damping = 1e-2
-    begun, kinds = origin[:, at], [PARAMETERS[i].kind for i in at.tolist()]
-    logs, positive = (torch.tensor([p == kind for p in kinds]) for kind in ("log", "positive"))
-    for _ in range(iterations):
-        s = sensitivities(data, servos, names, windows, plane=plane)
-        w = weights(s.residual, windows)
-        square = mean_square(s.residual, w, windows)
-        precision = prior_precision(names, square, TOGETHER_S / data.tracks.dt)
+    damping, plane_damping = torch.full((servos.n,), 1e-3, dtype=torch.float64), 1e-2
+    for turn in range(iterations):
+        if fresh := turn % 2 == 0:
+            s = sensitivities(data, servos, search.names, windows, plane=plane)
+        else:
+            s = replace(s, residual=errors_of_one(data, servos, windows))
         here = searched(servos)
-        a = (s.slope * w.sqrt()[..., None]).flatten(0, 1).transpose(0, 1)
-        b = (s.residual * w.sqrt()).flatten(0, 1).T
-        gram = a.transpose(1, 2) @ a + torch.diag_embed(precision)
-        away = (here[:, at] - begun).nan_to_num(nan=0.0)
-        pull = (a * b[..., None]).sum(1) + precision * away
-        # What is not free has a unit equation of its own, with the answer 0.
-        both = mask[:, :, None] & mask[:, None, :]
-        gram = torch.where(both, gram, torch.eye(len(names), dtype=gram.dtype))
-        pull = torch.where(mask, pull, 0.0)
-        steps = []
-        for factor in DAMPINGS:
-            extra = (damping * factor)[:, None] * gram.diagonal(dim1=1, dim2=2)
-            step = bounded_step(gram + torch.diag_embed(extra), pull, here[:, at], positive)
-            steps.append(torch.where(logs, step.clamp(-LONGEST, LONGEST), step))
+        gram, pull, precision = search.equations(s, here, data, windows)
         tried = here.repeat(len(DAMPINGS) + 1, 1, 1)
-        tried[1:, :, at] += torch.stack(steps)
+        for there, factor in zip(tried[1:], DAMPINGS, strict=True):
+            extra = (damping * factor)[:, None] * gram.diagonal(dim1=1, dim2=2)
+            step_by(there, search.at, gram + torch.diag_embed(extra), pull)
         batch = moved(servos, tried)
         if plane and s.plane is not None:
-            planes = _plane_steps(s.plane, s.residual, w, plane_damping)
-            batch.plane[1:] += planes
+            w = weights(s.residual, windows)
+            batch.plane[1:] += _plane_steps(s.plane, s.residual, w, plane_damping)
             batch.plane[:, 4].clamp_(min=50.0)
         # The first set is where the residuals are.
         others = replace(batch, joint=batch.joint[1:], plane=batch.plane[1:])
         tries = s.residual[..., None], errors(data, others, windows)
         cost = torch.cat([loss(error, windows) for error in tries], 1)
-        away = (tried[..., at] - begun).nan_to_num(nan=0.0)
+        away = (tried[..., search.at] - search.begun).nan_to_num(nan=0.0)
         cost = cost + (precision * away**2).sum(-1).T
         best = cost.argmin(1)
         joint = batch.joint[best, torch.arange(servos.n)]
@@ -271,9 +301,49 @@ def fit(
         damping = (damping * factors[best]).clamp(1e-6, 1e3)
         gain = float((1 - cost.amin(1) / cost[:, 0].clamp(min=1e-300)).max())
         plane_damping = max(1e-6, plane_damping * float(factors[better]))
-        if gain < HARDLY:
+        if fresh and gain < HARDLY:
             break
     return servos
+
+
+def giving_way(
+    data: PositionData, servos: Servos, sets: Servos, free: Mapping[str, Tensor], windows: Windows
+) -> tuple[Servos, Float[Tensor, "n Q"]]:
+    """Sets of servos as they are, and after one and two steps of what is free, and their losses.
+
+    Args:
+        data: motions.
+        servos: one set near all of them, whose slopes are taken.
+        sets: P of them.
+        free: parameters that step, each with the joints (n,) on which it is free.
+        windows: of the motions.
+    """
+    search = _Search.of(servos, free)
+    s = sensitivities(data, servos, search.names, windows)
+    gram, _, precision = search.equations(s, searched(servos), data, windows)
+    ways, left = [sets], [errors(data, sets, windows)]
+    for _ in range(2):
+        tried = searched(ways[-1])
+        # Residuals times Huber's weights, against all slopes at once.
+        bounded = left[-1].clamp(-LARGE, LARGE) * windows.weight[:, None, None]
+        pulls = torch.einsum("lwnk,lwnp->pnk", s.slope, bounded)
+        pulls += precision * (tried[..., search.at] - search.begun).nan_to_num(nan=0.0)
+        for there, pull in zip(tried, torch.where(search.mask, pulls, 0.0), strict=True):
+            step_by(there, search.at, gram, pull)
+        ways.append(moved(ways[-1], tried))
+        left.append(errors(data, ways[-1], windows))
+    joint, plane = (torch.cat([getattr(way, x) for way in ways]) for x in ("joint", "plane"))
+    return replace(sets, joint=joint, plane=plane), loss(torch.cat(left, -1), windows)
+
+
+def step_by(there: Float[Tensor, "n P"], at: list[int], gram: Tensor, pull: Tensor) -> None:
+    """Move some of the coordinates to where they are pulled, no farther than logarithms may go."""
+    logs, positive = (
+        torch.tensor([PARAMETERS[k].kind == kind for k in at], dtype=torch.bool)
+        for kind in ("log", "positive")
+    )
+    step = bounded_step(gram, pull, there[:, at], positive)
+    there[:, at] += torch.where(logs, step.clamp(-LONGEST, LONGEST), step)
 
 
 def bounded_step(

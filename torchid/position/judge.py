@@ -1,14 +1,15 @@
 """How well servos are known: by how much motions disagree, and by how much noise alone allows.
 
 Per motion, the normal equations of every joint at the fitted servos tell where that motion pulls;
-their spread is a jackknife with motions as blocks (see `statistics.jackknife`). Of few motions, or
-one alone, that variance is hardly known: it is drawn towards the noise's, alike for as long as its
-correlation says, times what is usual on the arm's other numbers (Smyth 2004).
+their spread is a jackknife with motions as blocks (see `statistics.jackknife`). What servos leave
+is mostly misfit, which sits in the motion that tells a number, so each block counts as left out.
+Of few motions, or one alone, that variance is hardly known: it is drawn towards the noise's, alike
+for as long as its correlation says, times what is usual on the arm's other numbers (Smyth 2004).
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -17,15 +18,14 @@ from torch import Tensor
 from torchid.effects.servo import INDEX, PARAMETERS, TORQUES
 from torchid.position.data import SMALL, PositionData
 from torchid.position.fit import (
-    LONGEST,
     VALLEYS,
-    bounded_step,
     mean_square,
     moved,
     prior_deviations,
     prior_precision,
     searched,
     sensitivities,
+    step_by,
     weights,
 )
 from torchid.results.agreement import MotionScale, Replication
@@ -55,6 +55,7 @@ class Equations:
         rows: of the motions [1].
         alike: (n,) rows, one after the other, whose errors are as good as one [1].
         torque_std: (n,) of the scale of all torques of a joint, which the robot's masses have [1].
+        away: (n, K) searched coordinates beside what was expected of them; 0 where nothing was.
         told: (n, K, K) covariances that are known already; None: as the equations tell.
     """
 
@@ -67,6 +68,7 @@ class Equations:
     rows: float
     alike: Tensor
     torque_std: Tensor
+    away: Tensor
     told: Tensor | None = None
 
     @property
@@ -87,11 +89,8 @@ class Equations:
         gram = self.gram[~gone].sum(0) + torch.diag_embed(self.prior)
         gram = torch.where(both, gram, torch.eye(len(self.names), dtype=gram.dtype))
         pull = torch.where(moves, self.pull[~gone].sum(0), 0.0)
-        tried, at = searched(self.servos), torch.tensor([INDEX[name] for name in self.names])
-        kinds = [PARAMETERS[k].kind for k in at.tolist()]
-        logs, positive = (torch.tensor([k == kind for k in kinds]) for kind in ("log", "positive"))
-        step = bounded_step(gram, pull, tried[:, at], positive)
-        tried[:, at] += torch.where(logs, step.clamp(-LONGEST, LONGEST), step)
+        tried = searched(self.servos)
+        step_by(tried, [INDEX[name] for name in self.names], gram, pull)
         return moved(self.servos, tried)
 
     def replication(
@@ -143,10 +142,15 @@ class Equations:
             way = self.to_values(shares) @ torch.linalg.inv(self.to_values())
             return way @ self.told @ way.mT
         to = self.to_values(shares)
-        spread = self._spread(to)
-        # How numbers vary together, as motions and noise say it, at those sizes.
+        return self._with_scale(self._spread(to), self.beyond_noise, to)
+
+    def _with_scale(
+        self, spread: "Spread", excess: float, to: Float[Tensor, "n K K"]
+    ) -> Float[Tensor, "n K K"]:
+        """How numbers vary together, as motions and noise say it, at the sizes that both say; with
+        what torques are unsure by as a whole."""
         together = spread.by_noise + spread.by_motions
-        unit = spread.deviations(self.beyond_noise) * self.mask
+        unit = spread.deviations(excess) * self.mask
         unit = unit / together.diagonal(dim1=1, dim2=2).clamp(min=1e-300).sqrt()
         # With other masses all torques would be others, and what is left may be so in part.
         unsure = self.torque_std.hypot(self._misfit_of_torques())
@@ -163,31 +167,48 @@ class Equations:
 
     def _misfit_of_torques(self) -> Float[Tensor, " n"]:
         """Change of the scale of all torques that a third of what is left would make, were it no
-        noise: the joint's other numbers make up for what they can."""
+        noise: the joint's other numbers, and what was expected, make up for what they can."""
         k = self.names.index("kp")
-        gram = self.gram.sum(0) + torch.diag_embed(self.prior)
+        by_log = self.gram.sum(0)
         free = self.mask[:, :, None] & self.mask[:, None, :]
+        gram = by_log + torch.diag_embed(self.prior)
         gram = torch.where(free, gram, torch.eye(len(self.names), dtype=gram.dtype))
-        return TORQUE_MISFIT * (self.square * self.rows * torch.linalg.inv(gram)[:, k, k]).sqrt()
+        row = torch.linalg.inv(gram)[:, k] * self.mask
+        answer = torch.einsum("nk,nkj,nj->n", row, by_log, row)
+        return TORQUE_MISFIT * (self.square * self.rows * answer).sqrt()
 
     def _spread(self, to: Float[Tensor, "n K K"]) -> "Spread":
         """Of combinations of searched coordinates, joint by joint; zeros of what is not free."""
-        white, spread = torch.zeros_like(to), torch.zeros_like(to)
+        parts = [torch.zeros_like(to) for _ in range(4)]
         freedom = self.noise.new_zeros(self.mask.shape)
         for j in self.mask.any(1).nonzero().flatten().tolist():
             on, noise = self.mask[j], self.noise[j].clamp(min=1e-300)
             gram, pull = self.gram[:, j][:, on][:, :, on], self.pull[:, j, on]
-            of_joint = Spread.of(gram, pull, self.prior[j, on].diag(), noise, to[j][:, on])
-            white[j], spread[j] = of_joint.by_noise, of_joint.by_motions
+            prior, away = self.prior[j, on].diag(), self.away[j, on]
+            of_joint = Spread.of(gram, pull, prior, noise, to[j][:, on], away)
+            own = of_joint.by_noise, of_joint.by_motions, of_joint.by_log, of_joint.open
+            for part, one in zip(parts, own, strict=True):
+                part[j] = one
             freedom[j, on] = of_joint.freedom[on]
-        return Spread(white, spread, freedom)
+        by_noise, by_motions, by_log, left_open = parts
+        return Spread(by_noise, by_motions, freedom, by_log, left_open)
 
     def expected(self) -> Float[Tensor, "n K K"]:
-        """The same of what is left open where values were expected near to these before any motion
-        was seen: V - V (V + P)^-1 V, which is no wider than either."""
-        to, before = self.to_values(), prior_deviations(self.names).diag().square()
-        out = torch.zeros_like(to)
-        for j, (on, covariance) in enumerate(zip(self.mask, self.covariances(), strict=True)):
+        """Second moments (n, K, K) of the truth about these values, of which something was expected
+        before any motion was seen.
+
+        With the log's precision H and P that of what was expected, noise and misfit make the part
+        S^-1 H S^-1 of S^-1, S = H + P, and S^-1 P S^-1 is left of what was expected. Where these
+        values are away from that, what the log leaves open may be there: S^-1 P away.
+        """
+        to = self.to_values()
+        if self.told is None:
+            spread = self._spread(to)
+            by_log = replace(spread, by_noise=spread.by_log)
+            return self._with_scale(by_log, by_log.excess, to) + spread.open
+        # What makers or other joints tell is about these values.
+        before, out = prior_deviations(self.names).diag().square(), torch.zeros_like(to)
+        for j, (on, covariance) in enumerate(zip(self.mask, self.told, strict=True)):
             by_log, prior = covariance[on][:, on], (to[j] @ before @ to[j].T)[on][:, on]
             rest = by_log - by_log @ torch.linalg.solve(by_log + prior, by_log)
             out[j][on[:, None] & on] = ((rest + rest.T) / 2).flatten()
@@ -218,11 +239,15 @@ class Spread:
     Attributes:
         by_noise, by_motions: (*D, Q, Q) covariances by noise alone, and by how motions disagree.
         freedom: (*D, Q) degrees of the latter, none where one motion alone tells.
+        by_log, open: (*D, Q, Q) parts of by_noise: what the log's noise makes, and what is left
+            open of what was expected, with how far that is from these values.
     """
 
     by_noise: Float[Tensor, "*D Q Q"]
     by_motions: Float[Tensor, "*D Q Q"]
     freedom: Float[Tensor, "*D Q"]
+    by_log: Float[Tensor, "*D Q Q"]
+    open: Float[Tensor, "*D Q Q"]
 
     @classmethod
     def of(
@@ -232,6 +257,7 @@ class Spread:
         prior: Float[Tensor, "P P"],
         noise: float | Tensor,
         to: Float[Tensor, "Q P"],
+        away: Float[Tensor, " P"],
     ) -> "Spread":
         """Of combinations of P numbers.
 
@@ -240,13 +266,17 @@ class Spread:
             prior: precision of what was expected, in the same units.
             noise: mean square error of an independent row.
             to: the combinations.
+            away: numbers beside what was expected.
         """
         # In units of the noise, where what was expected is told.
         grams, pulls, prior = grams / noise, (pulls - pulls.mean(0)) / noise, prior / noise
-        by_blocks = jackknife(grams, pulls, variance=1.0, combinations=to, known=prior)
-        white = to @ torch.linalg.inv(grams.sum(0) + prior) @ to.T
+        by_blocks = jackknife(grams, pulls, variance=1.0, combinations=to, known=prior, power=1.0)
+        total = grams.sum(0)
+        root = to @ torch.linalg.inv(total + prior)
+        shift = root @ prior @ away
+        left_open = root @ prior @ root.T + shift[:, None] * shift
         freedom = torch.where(by_blocks.by_one_block, 0.0, by_blocks.freedom)
-        return cls(white, by_blocks.covariance, freedom)
+        return cls(root @ to.T, by_blocks.covariance, freedom, root @ total @ root.T, left_open)
 
     @property
     def _variances(self) -> tuple[Float[Tensor, "*D Q"], Float[Tensor, "*D Q"]]:
@@ -301,7 +331,20 @@ def equations(
     mask = torch.stack([free[name] for name in names], 1)
     alike, square = alike_rows(s.residual, windows), mean_square(s.residual, w, windows)
     unsure = torch.zeros_like(square) if trusted else data.torque_std
-    return Equations(servos, names, mask, gram, pull, square, windows.rows, alike, unsure)
+    away = _away(data, servos, names)
+    return Equations(servos, names, mask, gram, pull, square, windows.rows, alike, unsure, away)
+
+
+def _away(data: PositionData, servos: Servos, names: Sequence[str]) -> Float[Tensor, "n K"]:
+    """Searched coordinates beside those of a small servo of the joints' strengths; 0 of limits,
+    of which nothing is expected, and of what has no effect."""
+    at = [INDEX[name] for name in names]
+    usual = Servos.neutral(servos.n, **{PARAMETERS[k].name: PARAMETERS[k].start for k in at})
+    expected = searched(usual)
+    expected[:, INDEX["kp"]] += data.strength.log()
+    away = (searched(servos) - expected)[:, at]
+    limits = ~torch.tensor([math.isfinite(PARAMETERS[k].neutral) for k in at])
+    return torch.where(limits | ~away.isfinite(), 0.0, away)
 
 
 def alike_rows(residual: Float[Tensor, "L W n"], windows: Windows) -> Float[Tensor, " n"]:

@@ -43,7 +43,7 @@ from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import PROFILE, Body, Windows, body_near
 from torchid.statistics.criteria import BEYOND_ROBOT
 from torchid.statistics.proportion import HALF_95
-from torchid.typing import Float
+from torchid.typing import Bool, Float
 
 FAR = 20.0
 """Times that torques change at most with a load [1]."""
@@ -93,8 +93,8 @@ class Loaded:
 class _Load:
     """The rigid body's torques per mass and first moments of a load, in the rows of windows."""
 
-    def __init__(self, data: PositionData, windows: Windows):
-        self.data, self.point = data, data.outwards
+    def __init__(self, data: PositionData, windows: Windows, scales: Bool[Tensor, " n"]):
+        self.data, self.point, self.scales = data, data.outwards, scales
         length = windows.length.tolist()
         self.rows = torch.cat(
             [torch.arange(a, a + n) for a, n in zip(windows.start.tolist(), length, strict=True)]
@@ -128,11 +128,12 @@ class _Load:
         return replace(self.data, body=replace(self.data.body, rows=self.carried))
 
     def stronger(self, servos: Servos, x: Tensor, there: Tensor) -> Servos:
-        """Servos for another load: their torques change as gravity's do, since it is mostly these
-        two beside each other that motions tell."""
+        """Servos for another load: where their gain is free, torques change as gravity's do, since
+        it is mostly these two beside each other that motions tell."""
         before, after = (self._body(y).bias.square().mean(0) for y in (x, there))
         joint = servos.joint.clone()
         ratio = (after / before.clamp(min=1e-12)).sqrt().clamp(1 / FAR, FAR)
+        ratio = torch.where(self.scales, ratio, 1.0)
         joint[:, [INDEX[name] for name in TORQUES]] *= ratio[:, None]
         return replace(servos, joint=joint)
 
@@ -164,7 +165,8 @@ class _Beside:
 
     def __init__(self, motions: Motions, model: ServoModel):
         self.motions, self.data, self.windows = motions, motions.data, motions.windows
-        self.model, self.load = model, _Load(motions.data, motions.windows)
+        self.model = model
+        self.load = _Load(motions.data, motions.windows, model.where_free("kp"))
         self.names = tuple(name for name in model.free if name not in PROFILE)
         self.mask = torch.stack([model.free[name] for name in self.names], 1)
         self.at = torch.tensor([INDEX[name] for name in self.names])

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
-from torchid.position.effects import DELAY
+from torchid.position.effects import KEPT
 from torchid.position.file_servos import Followed, follows
 from torchid.position.fit import errors_of_one
 from torchid.position.model import ServoArm
@@ -66,12 +66,13 @@ class Problem:
 
     @cached_property
     def plain(self) -> ServoModel:
-        """Plain servos that are no later than is usual: what named causes are held against."""
-        usual = self.data.usual_delay
-        late = self.simple.servos.of("delay") > usual
-        if not bool(late.any()):
-            return self.simple
-        return self.simple.without(DELAY, late, usual).fitted(self.few, 8)
+        """Plain servos that are no later, and pulled at no more, than is usual: what named causes
+        are held against."""
+        model, usual = self.simple, self.data.usual
+        for effect in KEPT:
+            if bool((beyond := model.beyond(effect, usual)).any()):
+                model = model.without(effect, beyond, usual)
+        return model if model is self.simple else model.fitted(self.few, 8)
 
     @cached_property
     def file(self) -> Followed | None:

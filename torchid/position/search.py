@@ -16,7 +16,7 @@ from torch import Tensor
 from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoEffect, ServoMotion
 from torchid.position.data import PositionData
 from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
-from torchid.position.fit import VALLEYS
+from torchid.position.fit import VALLEYS, giving_way
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.simulation.servo import Servos
 from torchid.statistics.criteria import ALIKE_LOSS
@@ -24,8 +24,6 @@ from torchid.typing import Bool, Float
 
 SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
 """What has a slope everywhere, beside the core."""
-SET_POINTS = ("set_point_profile", "set_point_speed", "command_filter")
-"""Effects that make set-points."""
 NEARLY_EXPLAINED = 10.0
 """Times the loss that calls for no cause within which a model is fitted to the end [1]."""
 TAKEN = 0.03
@@ -46,13 +44,10 @@ _ACCELERATIONS = (0.12, 0.25, 0.35, 0.5, 0.7, 1.0)
 _EARLIER = (0.01, 0.02)
 _LAGS = (0.02, 0.05, 0.1, 0.2)
 """Time constants of a filter to try [s]."""
-_SCANS = (
-    (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.7),
-    (0.9, 0.95, 1.0, 1.05, 1.1, 1.15),
-    (0.96, 0.98, 0.99, 1.0, 1.01, 1.02, 1.04),
-)
+_FAR = (0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, 1.7)
 _NEAR = (0.92, 0.97, 0.99, 1.0, 1.01, 1.03, 1.08)
-_ABOUT = dict.fromkeys(VALLEYS, _NEAR) | {"stribeck_speed": (0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.5)}
+_LONG = (0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.5)
+_ABOUT = dict.fromkeys(VALLEYS, (_FAR, _NEAR)) | {"stribeck_speed": (_LONG,)}
 """Factors on what has many small valleys, or one that is long and curved, by name."""
 _QUANTILES = (5e-4, 5e-3, 2e-2)
 
@@ -64,7 +59,7 @@ STAGED = tuple(
 )
 """Effects that are begun at a finite size beside all that has a slope, one after the other: what
 surrounds the arm first."""
-BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect.name not in KEPT)
+BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect not in KEPT)
 """What plain servos do not have."""
 Rivals = dict[tuple[str, int | None], tuple[str, ...]]
 """By effect and joint, None of what all joints feel: what does as well in its place."""
@@ -92,7 +87,7 @@ def full(motions: Motions, say: Callable[[str], None] = lambda _: None) -> Servo
     begun = ServoModel(_start(motions.data, names), dict.fromkeys(names, motions.every))
     model = _geared(motions.data, begun).fitted(motions, 5)
     say(PROFILE_STAGE)
-    model = _scanned(motions, _with_profile(motions, model))
+    model = _beyond_valleys(motions, _with_profile(motions, model))
     for effect in STAGED:
         say(effect.name.replace("_", " "))
         if effect.has_sizes:
@@ -100,7 +95,7 @@ def full(motions: Motions, say: Callable[[str], None] = lambda _: None) -> Servo
                 model = _with_size(motions, model, name)
         else:
             model = (_with_filter if effect.parameters else _with_plane)(motions, model)
-    model = _scanned(motions, model)
+    model = _beyond_valleys(motions, model)
     say("all together")
     return model.fitted(motions, 4, plane=True)
 
@@ -132,10 +127,8 @@ def settled(motions: Motions, model: ServoModel) -> ServoModel:
     """A model fitted until no joint gains, and beyond the valleys of what makes set-points where a
     joint that has such a number calls for a cause yet."""
     before = model.losses(motions)
-    for turn in range(ROUNDS):
-        for name in _ABOUT if turn == 0 else ():
-            if bool((model.where_free(name) & (before > motions.slight)).any()):
-                model = _beyond_valleys(motions, model, name)
+    model = _beyond_valleys(motions, model)
+    for _ in range(ROUNDS):
         model = model.fitted(motions, 3, plane=True)
         after = model.losses(motions)
         if bool((after > (1 - SETTLED) * before).all()):
@@ -144,19 +137,28 @@ def settled(motions: Motions, model: ServoModel) -> ServoModel:
     return model
 
 
-def _beyond_valleys(motions: Motions, model: ServoModel, name: str) -> ServoModel:
-    """With one number where it is best of some about it, all others giving way: delay, damping and
-    inertia make up for most of a change of what makes set-points."""
-    k, on = INDEX[name], model.where_free(name)
-    held = {other: joints for other, joints in model.free.items() if other != name}
-    ends = []
-    for factor in _ABOUT[name]:
-        values = model.servos.joint.clone()
-        values[on, k] *= factor
-        ends.append(replace(model.at(values), free=held).fitted(motions, 2, plane=True))
-    losses = torch.stack([end.losses(motions) for end in ends])
-    sets = replace(model.servos, joint=torch.stack([end.servos.joint for end in ends]))
-    return _of_sets(model, sets, losses.argmin(0), on)
+def _beyond_valleys(motions: Motions, model: ServoModel) -> ServoModel:
+    """With what slopes do not lead over where it is best of some factors about it, farther and
+    nearer, on the joints that call for a cause yet."""
+    begun, calls = model, model.losses(motions) > motions.slight
+    for name, ladder in _ABOUT.items():
+        k, on = INDEX[name], model.where_free(name)
+        for factors in ladder if bool((on & calls).any()) else ():
+            values = model.servos.joint[:, k] * torch.tensor(factors).double()[:, None]
+            sets, losses = _with_values(motions, model, name, values)
+            model = _of_sets(model, sets, losses.argmin(1), on)
+    return model if model is begun else model.fitted(motions, 2)
+
+
+def _with_values(
+    motions: Motions, model: ServoModel, name: str, values: Float[Tensor, "V n"]
+) -> tuple[Servos, Float[Tensor, "n Q"]]:
+    """Servos with values of one number, others as they are or giving way, and what they leave:
+    delay, damping and inertia make up for most of a change of what makes set-points."""
+    sets = _sets(model.servos, len(values))
+    sets.joint[:, :, INDEX[name]] = values
+    others = {other: joints for other, joints in model.free.items() if other != name}
+    return giving_way(motions.data, model.servos, sets, others, motions.windows)
 
 
 def _falls(motions: Motions, before: Tensor, after: Tensor) -> Bool[Tensor, " n"]:
@@ -234,37 +236,15 @@ def _with_profile(motions: Motions, model: ServoModel) -> ServoModel:
 def _with_filter(motions: Motions, model: ServoModel) -> ServoModel:
     """A filter of the set-point.
 
-    A servo without it has made up for it with delay, damping and inertia: at each size these give
-    way first, which costs no new set-points, and then the size itself moves.
+    A servo without it has made up for it with delay, damping and inertia: these give way.
     """
-    lag, delay, begun = INDEX["lag"], INDEX["delay"], []
-    for size in _LAGS:
-        values = model.servos.joint.clone()
-        values[:, lag], values[:, delay] = size, (values[:, delay] - size).clamp(min=0)
-        begun.append(model.at(values).fitted(motions, 4).servos.joint)
-    sets = replace(_sets(model.servos, len(begun)), joint=torch.stack(begun))
-    least, best = motions.losses_of_sets(sets).min(1)
+    sizes = torch.tensor(_LAGS).double()[:, None].expand(-1, model.servos.n)
+    sets, losses = _with_values(motions, model, "lag", sizes)
+    least, best = losses.min(1)
     joints = _falls(motions, model.losses(motions), least)
     if not bool(joints.any()):
         return model
-    filtered = _of_sets(model, sets, best, joints).freed(["lag"], joints)
-    return filtered.fitted(motions, 3, plane=True)
-
-
-def _scanned(motions: Motions, model: ServoModel) -> ServoModel:
-    """With profiles and filters where simulations are best, farther and nearer about where they
-    are: their losses have valleys."""
-    for name, factors in itertools.product(VALLEYS, _SCANS):
-        if name not in model.free:
-            continue
-        sets = _sets(model.servos, len(factors))
-        column = sets.joint[:, :, INDEX[name]]
-        column *= torch.tensor(factors, dtype=torch.float64)[:, None]
-        best = motions.losses_of_sets(sets).argmin(1)
-        elsewhere = model.where_free(name) & (best != factors.index(1.0))
-        if bool(elsewhere.any()):
-            model = _of_sets(model, sets, best, elsewhere).fitted(motions, 2)
-    return model
+    return _of_sets(model, sets, best, joints).freed(["lag"], joints).fitted(motions, 3, plane=True)
 
 
 def _with_plane(motions: Motions, model: ServoModel) -> ServoModel:
@@ -328,20 +308,11 @@ def best_single_effect_per_joint(
     tried = _each_beside_plain(motions, simple, watch, effects)
     model, losses = _plane_alone(tried, simple, before)
     single, rivals = _with_best_effects(motions, model, losses, tried)
-    has_one = ~motions.every
-    for _, joint in rivals:
-        has_one[joint] = True
     if "kp" in simple.free:  # servos of a file begin where the file has them
         single = with_usual_effects(motions, single)
-    # Joints feel each other's set-points: all of them are best before one is judged.
-    if any(name in single.free for name in _ABOUT):
-        single = settled(motions, single)
+    # Joints feel each other: all of them are best before one is judged.
+    single = settled(motions, single) if rivals else single
     losses = single.losses(motions)
-    # Where one effect is nearly enough, the fit is brought to its end before that is judged.
-    near = has_one & (losses > least) & (losses < NEARLY_EXPLAINED * least)
-    if bool(near.any()):
-        single = single.fitted(motions, 15, joints=near, plane=True)
-        losses = single.losses(motions)
     return SingleEffects(single, losses <= least, _alike_at_the_end(motions, single, tried, rivals))
 
 
@@ -361,12 +332,12 @@ def _each_beside_plain(
         if watch is not None:
             watch(effect.name, tried[effect.name][1])
     # What makes set-points is brought to where they are best, where that can matter.
-    for name in SET_POINTS:
+    for name in (e.name for e in effects if {*e.parameters} & {*VALLEYS}):
         model, losses = tried[name]
         best = torch.stack([left for _, left in tried.values()]).amin(0)
         in_question = (best > least) | (losses < ALIKE_LOSS * best)
         if bool((in_question & (before > least) & (losses < PROMISING * before)).any()):
-            model = _scanned(motions, model)
+            model = _beyond_valleys(motions, model)
             tried[name] = model, model.losses(motions)
     return tried
 
@@ -455,8 +426,7 @@ def with_usual_effects(motions: Motions, model: ServoModel) -> ServoModel:
     lack it, or err with it: the servos of an arm are mostly of one make."""
     for effect in EFFECTS:
         has = model.where(effect)
-        few = 2 * int(has.sum()) <= len(has)
-        if effect.name in KEPT or not effect.parameters or few:
+        if effect in KEPT or not effect.parameters or 2 * int(has.sum()) <= len(has):
             continue
         before = model.losses(motions)
         others = ~has | (before > motions.slight)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.servo import INDEX, NAMES, PARAMETERS, ServoEffect
-from torchid.position.data import PositionData
+from torchid.position.data import PositionData, Usual
 from torchid.position.effects import EFFECTS, KEPT
 from torchid.position.fit import errors, errors_of_one, fit, huber, loss
 from torchid.simulation.servo import Servos
@@ -78,7 +78,7 @@ class ServoModel:
     @property
     def causes(self) -> int:
         """Effects beside plain servos, joint by joint; a plane is one."""
-        named = (e for e in EFFECTS if e.name not in KEPT)
+        named = (e for e in EFFECTS if e not in KEPT)
         return sum(int(self.where(e).sum()) if e.parameters else int(self.plane) for e in named)
 
     def at(self, joint: Float[Tensor, "n K"]) -> "ServoModel":
@@ -106,10 +106,15 @@ class ServoModel:
             values[:, kept] = self.servos.joint[:, kept]
         return replace(self.at(values), free={**self.free, **free})
 
+    def beyond(self, effect: ServoEffect, usual: Usual) -> Bool[Tensor, " n"]:
+        """(n,) joints on which a number that every servo has is larger than is usual."""
+        return self.servos.of(effect.parameters[0]).abs() > usual[effect.parameters[0]]
+
     def without(
-        self, effect: ServoEffect, joints: Bool[Tensor, " n"], usual_delay: float
+        self, effect: ServoEffect, joints: Bool[Tensor, " n"], usual: Usual
     ) -> "ServoModel":
-        """It without an effect on some joints; of a delay without what is not usual [s]."""
+        """It without an effect on some joints; of what every servo has without what is not
+        usual."""
         if not effect.parameters:
             plane = self.servos.plane.clone()
             plane[4] = 0.0
@@ -117,8 +122,9 @@ class ServoModel:
         values = self.servos.joint.clone()
         for name in effect.parameters:
             k = INDEX[name]
-            late = values[joints, k].clamp(max=usual_delay)
-            values[joints, k] = late if name == "delay" else PARAMETERS[k].neutral
+            most, there = usual.get(name), values[:, k]
+            less = PARAMETERS[k].neutral if most is None else there.clamp(-most, most)
+            values[:, k] = torch.where(joints, less, there)
         free = {
             name: on & ~joints if name in effect.parameters else on
             for name, on in self.free.items()

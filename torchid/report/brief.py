@@ -54,7 +54,7 @@ _DETAILS = (
     Detail(9, remedies=2), Detail(9), Detail(2), Detail(1), Detail(1, std=False),
     Detail(1, 6, std=False), Detail(1, 5, std=False), Detail(1, 6, values=False),
     Detail(1, 5, values=False), Detail(1, 4, values=False), Detail(1, 3, 0, values=False),
-    Detail(1, 2, 0, values=False),
+    Detail(1, 2, 0, values=False), Detail(1, 1, 0, values=False),
 )  # fmt: skip
 """From the most on; the first that fits is shown."""
 
@@ -69,6 +69,7 @@ class Screen:
         band: below which errors are counted [Hz]; None of positions.
         warnings: of the diagnosis, as they are.
         model: which model to use next, one sentence.
+        robot: what a command line calls it.
         in_words: a warning of the library in the words of the command line.
     """
 
@@ -76,6 +77,7 @@ class Screen:
     band: float | None = None
     warnings: Sequence[str] = ()
     model: str = ""
+    robot: str = "ROBOT"
     in_words: Callable[[str], str] = str
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -107,7 +109,7 @@ class Screen:
             yield Text(visible(said[-1]))
         if legend := answer.legend(" ".join(said)):
             yield Text(visible(legend), "italic")
-        for k, step in enumerate(first_steps(answer)[: detail.remedies]):
+        for k, step in enumerate(first_steps(answer, self.robot)[: detail.remedies]):
             yield Text(visible(f"{'Then' if k else 'Do first'}: {step}"))
         if self.model:
             yield Text(visible(self.model))
@@ -143,7 +145,8 @@ class Screen:
 
 
 def _causes(row: JointRow, detail: Detail) -> list[str]:
-    """Its causes, those that remove most first; of those beyond a few the names, or how many."""
+    """Causes of a joint's row, those that remove most first; of those beyond a few the names, or
+    how many."""
     causes = sorted(row.causes, key=lambda c: -c.share)
     shown = causes[: detail.causes]
     texts = [_named(c, detail) for c in shown]

@@ -130,7 +130,11 @@ def meaning_table(record: GapRecord | PositionRecord) -> Table:
         same = [c for c in record.answer.causes if c.effect == name]
         notes = [f"{joints_words(c.at)}: {x}" for c in same for x in c.notes]
         words = "inertial parameters" if name == LINK else effect_words(name)
-        rows.append((words, "\n".join([same[0].meaning, *notes]), remedy_of(same)))
+        # Those with a field first; where both kinds are, each with its joints.
+        kinds = [[c for c in same if c.no_field is kind] for kind in (False, True)]
+        remedies = [(joints_words([j for c in k for j in c.at]), remedy_of(k)) for k in kinds if k]
+        todo = [f"{joints}: {x}" if len(remedies) > 1 else x for joints, x in remedies]
+        rows.append((words, "\n".join([same[0].meaning, *notes]), "\n".join(todo)))
     columns = ("effect", "what it means", "what to do")
     return Table("what it means, and what to do", columns, rows, "lpp")
 

@@ -23,9 +23,9 @@ def cautions(warnings: Iterable[str], most: int = MOST) -> list[str]:
     """
     groups: dict[str, list[tuple[str, str]]] = {}
     for warning in dict.fromkeys(warnings):
-        found = _NAMED.match(warning)
-        kind = found is not None and found["name"].startswith(KINDS)
-        name, rest = ("", warning) if found is None or kind else (found["name"], found["rest"])
+        match = _NAMED.match(warning)
+        kind = match is not None and match["name"].startswith(KINDS)
+        name, rest = ("", warning) if match is None or kind else (match["name"], match["rest"])
         groups.setdefault((":" if name else "") + _NUMBER.sub("#", rest), []).append((name, rest))
     out = [_merged(same) for same in groups.values()]
     if len(out) <= most:

@@ -2,19 +2,32 @@
 of intervals."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
+from statistics import median
 from typing import get_args
 
-from torchid.fleet.comparison import ComparedCause, Comparison, TorqueSpread, Verdict
+from msgspec import UNSET
+
+from torchid.fleet.comparison import (
+    ComparedCause,
+    ComparedParameter,
+    Comparison,
+    PositionErrors,
+    TorqueSpread,
+    Verdict,
+)
+from torchid.log.table import natural
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, finish, panel, rows_of
 from torchid.report.table import Report, Table, cell, cells, joint_numbers, table_of
-from torchid.results.words import count, listed, short, unit_behind
+from torchid.results.words import count, effect_words, listed, short, unit_behind
 from torchid.statistics.proportion import HALF_95
 
 NOTES = {
     "identifications": "A value without ± was held there by the fit",
     "gap diagnoses": "A value without ± is a shape of the effect",
+    "position diagnoses": "A value without ± was given, or is of an older file",
     "parameter sets": "± is the spread of a file's sets: how far they leave a value open",
 }
 """What ± is, or is missing of."""
@@ -23,34 +36,31 @@ MOST_COLUMNS = 3
 """Results whose values all fit into the table."""
 
 
-def report_of_comparison(found: Comparison) -> Report:
+def report_of_comparison(result: Comparison) -> Report:
     """All that there is to see of a comparison."""
-    parts = [cause_table(found), parameter_table(found), torque_table(found)]
-    drawn = partial(forest_figure, found)
+    parts = [of(result) for of in (cause_table, parameter_table, torque_table, position_table)]
+    drawn = partial(forest_figure, result)
     return Report(
-        verdict=verdict(found), parts=parts, warnings=found.notes, figures={"parameters": drawn}
+        verdict=verdict(result), parts=parts, warnings=result.notes, figures={"parameters": drawn}
     )
 
 
-def verdict(found: Comparison) -> str:
+def verdict(result: Comparison) -> str:
     """What agrees, in sentences."""
-    said = [f"{len(found.labels)} {found.kind} of {found.robot}."]
-    every = [c.label for c in found.causes if set(c.states) == {"named"}]
-    some = [
-        f"{c.label}{' (not testable in all)' if 'not_testable' in c.states else ''}"
-        for c in found.causes
-        if c.label not in every
-    ]
-    if found.kind == "gap diagnoses":
-        said.append(f"All name {listed(every)}." if every else "No effect is named in all.")
-        said += [f"Only some name {listed(some)}."] if some else []
-    differ = sorted(found.having("differ"), key=lambda p: p.p)
-    agree, open_ = (len(found.having(v)) for v in ("agree", "never_determined"))
+    said = [f"{len(result.labels)} {result.kind} of {result.robot}."]
+    every = [c.label for c in result.causes if set(c.states) == {"named"}]
+    unseen, rest = " (not testable in all)", [c for c in result.causes if c.label not in every]
+    some = [c.label + unseen * ("not_testable" in c.states) for c in rest]
+    if result.kind.endswith("diagnoses"):
+        said.append(f"All name {_places(every)}." if every else "No effect is named in all.")
+        said += [f"Only some name {_places(some)}."] if some else []
+    differ = sorted(result.having("differ"), key=lambda p: p.p)
+    agree, open_ = (len(result.having(v)) for v in ("agree", "never_determined"))
     if differ or agree or open_:
         parts = [f"{agree} agree", f"{len(differ)} differ{'s' * (len(differ) == 1)}"]
         parts += [f"{open_} may be zero in all"] if open_ else []
         said.append(f"Of the coefficients in common {listed(parts)}.")
-    elif found.kind != "gap diagnoses":
+    elif not result.kind.endswith("diagnoses"):
         said.append("No coefficient has a standard deviation in two results: none is tested.")
     if differ:
         named = [
@@ -63,16 +73,58 @@ def verdict(found: Comparison) -> str:
             "Most differ: if nothing about the arm changed, the standard deviations of single "
             "results are too small, and the spread tells how sure a coefficient is."
         )
-    if found.torque is not None:
-        said.append(torque_sentence(found.torque, found))
+    if result.kind == "position diagnoses" and (differ or agree):
+        said.append(spread_sentence(differ + result.having("agree")))
+    if result.torque is not None:
+        said.append(torque_sentence(result.torque, result))
+    if result.positions is not UNSET:
+        said.append(position_sentence(result.positions, result))
     return " ".join(said)
 
 
-def torque_sentence(t: TorqueSpread, found: Comparison) -> str:
+def _places(labels: Sequence[str]) -> str:
+    """Causes with the joints that they are on: `viscous friction of joints 2 and 3`."""
+    each: dict[str, list[str]] = {}
+    for label in labels:
+        name, _, joint = label.partition(" of joint ")
+        words = " or ".join(map(effect_words, name.split(" or ")))
+        each.setdefault(words, []).append(joint)
+    return listed(
+        f"{words} of joint{'s' * (len(joints) > 1)} {listed(sorted(joints, key=natural))}"
+        if joints[0]
+        else words
+        for words, joints in each.items()
+    )
+
+
+def spread_sentence(compared: Sequence[ComparedParameter]) -> str:
+    """How far values are apart beside what each result states."""
+    ratios = []
+    for p in compared:
+        own = p.own[p.own_std.isfinite()]
+        stated = p.own_std[p.own_std.isfinite()].square().mean().sqrt()
+        ratios.append(float(own.std() / stated.clamp(min=1e-300)))
+    return (
+        f"From result to result values spread {median(ratios):.2g} times as far as their standard "
+        "deviations state, in the median."
+    )
+
+
+def position_sentence(errors: PositionErrors, result: Comparison) -> str:
+    """Whose servos go nearest to where the arm went."""
+    means = errors.whole.nanmean(1)
+    each = ", ".join(f"{x:.3g}" for x in means.tolist())
+    return (
+        f"On {errors.source} {result.labels[int(means.argmin())]} is the closest "
+        f"({each} {errors.unit}, mean of the joints)."
+    )
+
+
+def torque_sentence(t: TorqueSpread, result: Comparison) -> str:
     """Where models differ most in torque."""
     share = t.spread / t.size.clamp(min=1e-12)
     joint, largest = int(share.argmax()), int(t.spread.argmax())
-    corrected = "corrected " * (found.kind == "gap diagnoses")
+    corrected = "corrected " * (result.kind == "gap diagnoses")
     out = (
         f"In torque, on {t.source}, the {corrected}models differ by {float(t.spread[joint]):.2g} "
         f"on joint {joint + 1}, {100 * float(share[joint]):.2g} % of its torque, the most of all "
@@ -85,34 +137,37 @@ def torque_sentence(t: TorqueSpread, found: Comparison) -> str:
         out += f"; that is {ratio:.2g} times what their covariances claim"
     if t.errors is not None:
         best = int(t.errors.square().sum(1).argmin())
-        out += f". On its measured torque {found.labels[best]} is the closest"
+        out += f". On its measured torque {result.labels[best]} is the closest"
     return out + "."
 
 
-def cause_table(found: Comparison) -> Table:
+def cause_table(result: Comparison) -> Table:
     """What each diagnosis says of every cause."""
 
     def state(cause: ComparedCause, k: int) -> str:
         least = cause.smallest[k]
         return cause.states[k].replace("_", " ") + (f" below {least:.2g}" if least else "")
 
-    if len(found.labels) <= MOST_COLUMNS:
-        said = {label: [state(c, k) for c in found.causes] for k, label in enumerate(found.labels)}
+    if len(result.labels) <= MOST_COLUMNS:
+        said = {
+            label: [state(c, k) for c in result.causes] for k, label in enumerate(result.labels)
+        }
     else:
-        said = {"named by": [str(c.states.count("named")) for c in found.causes]}
-    return table_of(f"{found.robot}: causes", found.causes, beside=said)
+        said = {"named by": [str(c.states.count("named")) for c in result.causes]}
+    return table_of(f"{result.robot}: causes", result.causes, beside=said)
 
 
-def parameter_table(found: Comparison) -> Table:
+def parameter_table(result: Comparison) -> Table:
     """Every coefficient: what is said of it, or its cause, and its values."""
     order = list(get_args(Verdict))
+    of_causes = result.kind == "gap diagnoses" and bool(result.causes)
     rows = (
-        found.parameters
-        if found.causes
-        else sorted(found.parameters, key=lambda p: order.index(p.verdict))
+        result.parameters
+        if of_causes
+        else sorted(result.parameters, key=lambda p: order.index(p.verdict))
     )
     pairs = [list(zip(p.own.tolist(), p.own_std.tolist(), strict=True)) for p in rows]
-    heads = [f"{name}\n{said}" for name, said in zip(found.labels, found.about, strict=True)]
+    heads = [f"{name}\n{said}" for name, said in zip(result.labels, result.about, strict=True)]
     if len(heads) > MOST_COLUMNS:
         heads = ["lowest", "highest"]
         known = [sorted(x for x in own if not math.isnan(x[0])) or own for own in pairs]
@@ -122,43 +177,57 @@ def parameter_table(found: Comparison) -> Table:
         for column in zip(*pairs, strict=True)
     ]
     return table_of(
-        f"{found.robot}: value ± std",
+        f"{result.robot}: value ± std",
         rows,
-        f"name {'cause' if found.causes else 'verdict'} mean between p",
-        f"{NOTES[found.kind]}. Mean, and spread from result to result: as of units of one type "
+        f"name {'cause' if of_causes else 'verdict'} mean between p",
+        f"{NOTES[result.kind]}. Mean, and spread from result to result: as of units of one type "
         "(random effects). p: of the test that all are equal; 5 % of those that differ are "
         "expected to be false (Benjamini and Hochberg).",
         beside=dict(zip(heads, values, strict=False)),
     )
 
 
-def torque_table(found: Comparison) -> Table | None:
+def torque_table(result: Comparison) -> Table | None:
     """Torque, where it was compared: joints as columns."""
-    t = found.torque
+    t = result.torque
     if t is None:
         return None
     rows = [("torque", t.size), ("std between models", t.spread)]
     if t.claimed is not None:
         rows.append(("std their covariances claim", t.claimed))
     if t.errors is not None:
-        errors = zip(found.labels, t.errors, strict=True)
+        errors = zip(result.labels, t.errors, strict=True)
         rows += [(f"measured - {label}", e) for label, e in errors]
     title = f"torque on {t.source}, RMS per joint [N m; N]"
     texts = [(name, *cells(values)) for name, values in rows]
     return Table(title, ("", *joint_numbers(len(t.size))), texts, "p")
 
 
+def position_table(result: Comparison) -> Table | None:
+    """Position errors along a log, where they were asked for: joints as columns."""
+    if result.positions is UNSET:
+        return None
+    own = result.positions
+    rows = [
+        (f"{label}, {name}", *cells(values))
+        for name, errors in (("whole", own.whole), ("2 s", own.windows))
+        for label, values in zip(result.labels, errors, strict=True)
+    ]
+    title = f"position errors on {own.source}, RMS per joint [{own.unit}]"
+    return Table(title, ("", *joint_numbers(own.whole.shape[1])), rows, "p")
+
+
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)
 SHADES = {"differ": RED, "never_determined": GREY}
 
 
-def forest_figure(found: Comparison) -> Figure | None:
+def forest_figure(result: Comparison) -> Figure | None:
     """95 % intervals of every result about the mean, in the geometric mean of the standard
     deviations; the spread between results is the grey bar."""
-    drawn = [p for v in ("differ", "agree", "never_determined") for p in found.having(v)]
+    drawn = [p for v in ("differ", "agree", "never_determined") for p in result.having(v)]
     if not drawn:
         return None
-    m = len(found.labels)
+    m = len(result.labels)
     figure, axes = panel(10, 1.6 + (0.2 + 0.05 * m) * len(drawn))
     # Standard deviations beyond which a value is drawn at the edge
     clip = 10.0
@@ -188,5 +257,5 @@ def forest_figure(found: Comparison) -> Figure | None:
     styles = (
         {"color": COLOURS[k % len(COLOURS)], "marker": "o", "markersize": 4} for k in range(m)
     )
-    keys = dict(zip(found.labels, styles, strict=True))
-    return finish(figure, f"{found.robot}: do {count(m, 'result')} agree?", keys=keys)
+    keys = dict(zip(result.labels, styles, strict=True))
+    return finish(figure, f"{result.robot}: do {count(m, 'result')} agree?", keys=keys)

@@ -81,7 +81,7 @@ def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") ->
     return Report(
         screen=Screen(
             answer=record.answer, band=getattr(record, "band_hz", None), warnings=warnings,
-            model=model,
+            model=model, robot=_called(result),
         ),
         verdict=record.answer.headline,
         parts=[
@@ -102,6 +102,7 @@ def evidence(record: GapRecord | PositionRecord) -> Evidence:
 def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
     """The page of a diagnosis; `model` says which model to use next."""
     answer, band = result.answer, None
+    steps = first_steps(answer, _called(result))
     if isinstance(result, TorqueDiagnosis):
         title, band = f"Sim-to-real gap of {result.robot.name}", result.band
     else:
@@ -116,7 +117,7 @@ def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
         band=band,
         picture=_arm_picture(result),
         advice=(
-            ("What to do first", [step[:1].upper() + step[1:] for step in first_steps(answer)]),
+            ("What to do first", [step[:1].upper() + step[1:] for step in steps]),
             ("Which model to use", [model or model_words(answer, None, "the model as given")]),
             # Without causes, what would settle the suspects is what to do first.
             (
@@ -126,6 +127,12 @@ def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
         ),
         sections=_sections(result.record, result),
     )
+
+
+def _called(result: Diagnosis | DiagnosisRecord) -> str:
+    """What a command line calls the robot of a diagnosis: its file, where that is known."""
+    source = result.data.robot.source if isinstance(result, PositionDiagnosis) else ""
+    return source or "ROBOT"
 
 
 def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
@@ -209,7 +216,7 @@ def _over_time(d: TorqueDiagnosis | PositionDiagnosis, against: Sequence[Picture
     text = (
         "Joint positions: the arm, and both models moved by the same commands, in motions that "
         "were left out of the fit; before, the file's servos, or, where it has none, a plain servo "
-        "refitted to this log: a gain, friction, inertia, offset and a usual delay."
+        "refitted to this log: a gain, friction, inertia, and a usual offset and delay."
     )
     torque = None
     if isinstance(d, TorqueDiagnosis):

@@ -18,9 +18,9 @@ _STYLE = {"wrong": "bold red", "doubtful": "yellow", "cannot tell": "bright_blac
 
 def doctor_table(examination: Examination) -> Table:
     """What is not fine, wrong first."""
-    found = [c for c in examination.by_verdict() if c.verdict != "fine"]
+    odd = [c for c in examination.by_verdict() if c.verdict != "fine"]
     rows = []
-    for (verdict, evidence, fix), group in groupby(found, lambda c: (c.verdict, c.evidence, c.fix)):
+    for (verdict, evidence, fix), group in groupby(odd, lambda c: (c.verdict, c.evidence, c.fix)):
         names = "\n".join(c.name for c in group)
         rows.append((Text(verdict, _STYLE[verdict]), names, evidence, fix or ""))
     columns = ("verdict", "check", "evidence", "fix")

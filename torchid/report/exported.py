@@ -207,9 +207,9 @@ def simulator_block(robot: Robot, nearest: Sequence[NearestFields] = ()) -> str:
             lines.append(f"<joint name={quoteattr(name)}{text}")
         lines += [f"<!-- {_nearest(row, held[row.joint], robot)} -->" for row in own]
         # A double hyphen would end a comment.
-        told = {name for row in own for name in row.effects}
+        written = {name for row in own for name in row.effects}
         left = dict.fromkeys(
-            effect.name for effect, _ in rest if effect.name not in told and not effect.of_sensor
+            effect.name for effect, _ in rest if effect.name not in written and not effect.of_sensor
         )
         lines += [f"<!-- no field for: {listed(list(left)).replace('--', '-')} -->"] if left else []
     sensors: dict[str, list[int]] = {}

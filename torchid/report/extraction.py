@@ -24,10 +24,10 @@ from torchid.robot.inertia import InertialParameters
 _SHOWN = 12
 
 
-def report_of_extraction(found: Found) -> Report:
+def report_of_extraction(result: Found) -> Report:
     """All that there is to see of an extraction."""
-    said, last = tables(found), headline(found)
-    return Report(parts=said, warnings=found.warnings, last=last, figures=figures(found))
+    said, last = tables(result), headline(result)
+    return Report(parts=said, warnings=result.warnings, last=last, figures=figures(result))
 
 
 def report_of_atlas(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Report:
@@ -40,9 +40,9 @@ def report_of_atlas(atlas: Atlas, problem: Problem, notes: Sequence[str]) -> Rep
     )
 
 
-def headline(found: Found) -> str:
+def headline(result: Found) -> str:
     """One or two sentences: what came out."""
-    k, verdict, name = found.best, found.verdict, found.problem.robot.name
+    k, verdict, name = result.best, result.verdict, result.problem.robot.name
     degree = float(verdict.degree[k])
     said = (
         f"feasible ({'on the boundary' if degree < ON_THE_BOUNDARY else f'degree {degree:.2g}'})"
@@ -50,33 +50,33 @@ def headline(found: Found) -> str:
         else f"infeasible: {', '.join(verdict.reasons(k))}"
     )
     text = (
-        f"{count(len(found.sets), 'set')} of {name} by {found.method}, "
-        f"{int(verdict.feasible.sum())} of them feasible. Best: {found.sets.ids[k]}, phi "
-        f"{float(found.phi[k]):.5g}, {said}; its torque is up to "
-        f"{100 * float(found.torque[k].max()):.2g} % from the asked-for one (joint "
-        f"{int(found.torque[k].argmax()) + 1})."
+        f"{count(len(result.sets), 'set')} of {name} by {result.method}, "
+        f"{int(verdict.feasible.sum())} of them feasible. Best: {result.sets.ids[k]}, phi "
+        f"{float(result.phi[k]):.5g}, {said}; its torque is up to "
+        f"{100 * float(result.torque[k].max()):.2g} % from the asked-for one (joint "
+        f"{int(result.torque[k].argmax()) + 1})."
     )
     # The loss does not choose between sets that have it alike; how different are they?
-    phi = found.phi[verdict.feasible]
+    phi = result.phi[verdict.feasible]
     alike = phi <= 1.01 * phi.min() + 1e-18 if len(phi) else phi > 0
     if int(alike.sum()) > 1:
-        total = found.sets.parameters.mass[verdict.feasible][alike].sum(-1)
+        total = result.sets.parameters.mass[verdict.feasible][alike].sum(-1)
         text += (
             f" {int(alike.sum())} feasible sets have this loss (to 1 %); their total mass ranges "
             f"from {float(total.min()):.4g} to {float(total.max()):.4g} kg."
         )
-    edges = at_bounds(found)
+    edges = at_bounds(result)
     if edges:
         text += f" On its bounds: {listed(edges, most=_SHOWN)}."
-    proof = found.proof
-    return text if proof is None or not proof.feasible else f"{text} {least_loss(found, proof)}"
+    proof = result.proof
+    return text if proof is None or not proof.feasible else f"{text} {least_loss(result, proof)}"
 
 
-def loss_notes(found: Found, values: BaseValues) -> tuple[str, ...]:
+def loss_notes(result: Found, values: BaseValues) -> tuple[str, ...]:
     """Says that the loss is to blame, where the best set's torque is far off and a log is there to
     ask."""
-    far = float(found.torque[found.best].max()) > FAR_TORQUE
-    if not far or found.problem.target.loss != "two-step" or values.factor is None:
+    far = float(result.torque[result.best].max()) > FAR_TORQUE
+    if not far or result.problem.target.loss != "two-step" or values.factor is None:
         return ()
     return (
         "the two-step loss counts coefficients, all alike, not torque: --loss one-step asks for "
@@ -84,7 +84,7 @@ def loss_notes(found: Found, values: BaseValues) -> tuple[str, ...]:
     )
 
 
-def least_loss(found: Found, proof: Certificate) -> str:
+def least_loss(result: Found, proof: Certificate) -> str:
     """A sentence or two: what is known of the least loss, and no more than that."""
     whose, start = "feasible", ""
     if not proof.with_conditions:
@@ -98,7 +98,7 @@ def least_loss(found: Found, proof: Certificate) -> str:
         else ""
     )
     if proof.phi_min <= 0:
-        best = min([proof.phi_strict, *found.phi[found.verdict.feasible].tolist()])
+        best = min([proof.phi_strict, *result.phi[result.verdict.feasible].tolist()])
         return (
             f"{start}Whether some {whose} set reproduces the base parameters exactly is not known: "
             f"the least loss lies between phi_min = 0 and {best:.5g}.{relaxed}"
@@ -109,24 +109,24 @@ def least_loss(found: Found, proof: Certificate) -> str:
     return f"{start}No {whose} set has a loss below phi_min = {proof.phi_min:.5g}{forced}.{relaxed}"
 
 
-def tables(found: Found) -> list[Table]:
+def tables(result: Found) -> list[Table]:
     """The best sets, and what forces the least loss."""
-    proof = found.proof
-    sets = sorted(found.record.sets, key=lambda one: (not one.feasible, one.phi))
+    proof = result.proof
+    sets = sorted(result.record.sets, key=lambda one: (not one.feasible, one.phi))
     least = {} if proof is None else proof.phi_min_without
     without = [(name, f"{value:.5g}") for name, value in least.items()][:_SHOWN]
     forced = "" if proof is None else f"what forces phi_min = {proof.phi_min:.5g}"
-    title = f"{count(len(sets), 'set')} within the bounds '{found.problem.bounds.name}'"
+    title = f"{count(len(sets), 'set')} within the bounds '{result.problem.bounds.name}'"
     return [
         table_of(title, sets, "id phi far gamma feasible degree reasons", most=_SHOWN),
         Table(forced, ("without the condition", "phi_min would be"), without, "p"),
     ]
 
 
-def figures(found: Found) -> Figures:
+def figures(result: Found) -> Figures:
     """What draws the search's course, where there was one."""
-    search = found.search
-    return {} if search is None else {"search": partial(search_figure, search, found.proof)}
+    search = result.search
+    return {} if search is None else {"search": partial(search_figure, search, result.proof)}
 
 
 def search_figure(search: Extraction, proof: Certificate | None = None) -> Figure:
@@ -209,9 +209,9 @@ def atlas_table(atlas: Atlas) -> Table:
     return table_of(title, atlas.record.parameters, beside={"share %": shares})
 
 
-def atlas_figure(found: Atlas | AtlasRecord) -> Figure:
+def atlas_figure(drawn: Atlas | AtlasRecord) -> Figure:
     """Each parameter's range inside the range that the bounds alone allow."""
-    atlas = found.record
+    atlas = drawn.record
     assert isinstance(atlas, AtlasRecord)
     kinds = {"m": "masses", "c": "centres of mass", "J": "inertias about the link frame"}
     columns: dict[str, list[int]] = {title: [] for title in kinds.values()}

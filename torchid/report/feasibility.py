@@ -56,20 +56,20 @@ def headline(check: Check) -> str:
 
 def verdict(check: Check, k: int) -> str:
     """One set in one sentence: feasible with which degree, or what is violated, and by how much."""
-    found, name = check.feasibility, check.sets.ids[k]
-    if not bool(found.feasible[k]):
+    judged, name = check.feasibility, check.sets.ids[k]
+    if not bool(judged.feasible[k]):
         return f"{name} is infeasible: {', '.join(_violations(check, k))}."
     # The condition with the smallest degree is the nearest.
     named = {
-        f"{condition} of link {i + 1}": float(found.degrees[k, i, c])
+        f"{condition} of link {i + 1}": float(judged.degrees[k, i, c])
         for i in range(check.robot.n_links)
         for c, condition in enumerate(LINK_CONDITIONS)
     }
-    named["the total mass"] = float(found.total_mass_degree[k])
-    degrees = found.coefficient_degrees[k].tolist()
-    named |= dict(zip(found.coefficient_names, degrees, strict=True))
+    named["the total mass"] = float(judged.total_mass_degree[k])
+    degrees = judged.coefficient_degrees[k].tolist()
+    named |= dict(zip(judged.coefficient_names, degrees, strict=True))
     nearest = min(named, key=named.__getitem__)
-    return f"{name} is feasible, with degree {float(found.degree[k]):.3g} (nearest: {nearest})."
+    return f"{name} is feasible, with degree {float(judged.degree[k]):.3g} (nearest: {nearest})."
 
 
 def conditions_line(check: Check) -> str:
@@ -87,13 +87,13 @@ def conditions_line(check: Check) -> str:
 
 def _violations(check: Check, k: int) -> list[str]:
     """Phrases, those of the same kind together."""
-    found, links = check.feasibility, range(check.robot.n_links)
-    broken = [found.inertia_violation(k, i) for i in links]
-    bad = found.violated_coefficients[k].tolist()
+    feasibility, links = check.feasibility, range(check.robot.n_links)
+    broken = [feasibility.inertia_violation(k, i) for i in links]
+    bad = feasibility.violated_coefficients[k].tolist()
     kinds = (
-        ("not positive", [f"mass_{i + 1}" for i in links if bool(found.violated[k, i, 0])]),
+        ("not positive", [f"mass_{i + 1}" for i in links if bool(feasibility.violated[k, i, 0])]),
         ("not positive definite", [f"inertia_{i + 1}" for i in links if broken[i] == "eigenvalue"]),
-        ("negative", [r for r, b in zip(found.coefficient_reasons, bad, strict=True) if b]),
+        ("negative", [r for r, b in zip(feasibility.coefficient_reasons, bad, strict=True) if b]),
     )
     masses, inertias, negative = (
         [f"{listed(names)} {'is' if len(names) == 1 else 'are'} {what}"] if names else []
@@ -107,14 +107,14 @@ def _violations(check: Check, k: int) -> list[str]:
             phrases.append(f"inertia_{i + 1} breaks the triangle inequality{by}")
     for i in links:
         for column, name in enumerate(LINK_CONDITIONS):
-            if column > 2 and bool(found.violated[k, i, column]):
-                missed = f"{-1e3 * float(found.margins[k, i, column]):.3g} mm"
+            if column > 2 and bool(feasibility.violated[k, i, column]):
+                missed = f"{-1e3 * float(feasibility.margins[k, i, column]):.3g} mm"
                 phrases.append(
                     f"shape_{i + 1} is missed by {missed}"
                     if name == "shape"
                     else f"com_{i + 1}{name[-1]} is {missed} outside its box"
                 )
-    if bool(found.violated_total[k]):
+    if bool(feasibility.violated_total[k]):
         phrases.append(f"total_mass is {float(check.sets.parameters.mass[k].sum()):.4g} kg")
     return [*phrases, *negative]
 
@@ -126,7 +126,7 @@ def _coloured(text: str, degree: float, violated: bool) -> Text:
 
 
 def _link_table(check: Check, k: int) -> Table:
-    found = check.feasibility
+    feasibility = check.feasibility
     boxes = bool(check.conditions.com_box.isfinite().any())
     columns = [
         "", "link", "mass\n[kg]", "principal inertias\n[kg m²]", "largest over sum\nof others [%]",
@@ -135,8 +135,8 @@ def _link_table(check: Check, k: int) -> Table:
     columns += ["CoM to box\n[mm]"] * boxes + ["to shape\n[mm]"] * check.round_shapes + ["degree"]
     rows = []
     for i, name in enumerate(check.robot.link_names):
-        degrees, bad = found.degrees[k, i].tolist(), found.violated[k, i].tolist()
-        margins = found.margins[k, i].tolist()
+        degrees, bad = feasibility.degrees[k, i].tolist(), feasibility.violated[k, i].tolist()
+        margins = feasibility.margins[k, i].tolist()
         eigenvalues = check.eigenvalues[k, i].tolist()
         excess = excess_percent(eigenvalues)
         texts: list[Cell] = [
@@ -162,30 +162,30 @@ def _link_table(check: Check, k: int) -> Table:
 
 def _coefficient_table(check: Check, k: int) -> Table:
     """Coefficients of effects, joints as columns."""
-    found, n = check.feasibility, check.robot.n
+    feasibility, n = check.feasibility, check.robot.n
     rows: dict[str, list[Cell]] = {}
     named = [(c, effect.joint) for effect in check.sets.effects for c in effect.coefficients]
     for e, (c, joint) in enumerate(named):
         slides = check.robot.joint_types[joint] is JointType.PRISMATIC
         name = f"{c.name} [{c.unit_for(slides)}]"
         row = rows.setdefault(name, [name, *["-"] * n])
-        degree = float(found.coefficient_degrees[k, e])
+        degree = float(feasibility.coefficient_degrees[k, e])
         value = f"{float(check.sets.coefficients[k, e]):.4g}"
-        row[joint + 1] = _coloured(value, degree, bool(found.violated_coefficients[k, e]))
+        row[joint + 1] = _coloured(value, degree, bool(feasibility.violated_coefficients[k, e]))
     columns = ("", *joint_numbers(n))
     return Table("coefficients of the effects, by joint", columns, list(rows.values()), "l")
 
 
 def _set_table(check: Check) -> Table:
     """One row a set."""
-    found, count = check.feasibility, len(check.sets)
-    feasible, degrees = found.feasible.tolist(), found.degree.tolist()
+    feasibility, count = check.feasibility, len(check.sets)
+    feasible, degrees = feasibility.feasible.tolist(), feasibility.degree.tolist()
     masses = check.sets.parameters.mass.sum(-1).tolist()
     rows = []
     for k, name in enumerate(check.sets.ids):
         said = "yes" if feasible[k] else Text("no", "red")
         degree = _coloured(f"{degrees[k]:.2g}", degrees[k], not feasible[k])
-        findings, why = str(len(check.findings[k]) or "-"), ", ".join(found.reasons(k)) or "-"
+        findings, why = str(len(check.findings[k]) or "-"), ", ".join(feasibility.reasons(k)) or "-"
         rows.append((name, said, degree, f"{masses[k]:.4g}", findings, why))
     columns = ("set", "feasible", "degree", "total mass [kg]", "findings", "violated")
     title = f"{count} sets of {check.robot.name}"

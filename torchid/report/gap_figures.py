@@ -90,8 +90,8 @@ def map_figure(record: GapRecord) -> Figure:
 
 
 def known_figure(record: GapRecord) -> Figure:
-    """Of each known coefficient what the log makes of it: its value with 95 % intervals before and
-    after, as a share of the value before; what has changed is marked."""
+    """What the log makes of each known coefficient: its value with 95 % intervals before and after,
+    as a share of the value before; what has changed is marked."""
     known = record.knowledge
     assert known is not None
     coefficients = [c for c in known.coefficients if c.before and c.before_std is not None]

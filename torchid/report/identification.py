@@ -9,7 +9,6 @@ from itertools import count
 import numpy as np
 import torch
 
-from torchid.design.motion import MOVING
 from torchid.errors import TorchidError
 from torchid.identification.identify import Identification
 from torchid.identification.payload import Body, Payload
@@ -17,6 +16,7 @@ from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
 from torchid.identification.validation import Prediction
+from torchid.log.movement import RESTING
 from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
@@ -78,7 +78,7 @@ def effect_tables(result: Identification) -> list[Table]:
 
     # Each effect with the texts of its coefficients.
     k = count(base.n_rigid_parameters)
-    found = [(e, [value(next(k)) for _ in e.coefficients]) for e in result.effects]
+    fitted = [(e, [value(next(k)) for _ in e.coefficients]) for e in result.effects]
     counts = Counter(type(effect) for effect in result.effects)
     everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
     if len(set(slides)) > 1:
@@ -90,10 +90,10 @@ def effect_tables(result: Identification) -> list[Table]:
     ]
     rows = []
     for j in range(robot.n if everywhere else 0):
-        own = {type(e): texts for e, texts in found if e.joints == (j,)}
+        own = {type(e): texts for e, texts in fitted if e.joints == (j,)}
         rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
     lines: list[tuple[str, ...]] = []
-    for effect, texts in found:
+    for effect, texts in fitted:
         if type(effect) in everywhere:
             continue
         place = number_list(effect.joints)
@@ -127,7 +127,7 @@ def error_table(result: Identification) -> Table:
         rows += [[f"{data}, RMSE [{unit}]", *cells(errors.rmse), ""], []]
     band = result.settings.error_cutoff or result.cutoff
     note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
-    how = f"{note}; moving: |dq| > {MOVING:g}, less in slow logs"
+    how = f"{note}; moving: |dq| > {RESTING:g}, less in slow logs"
     title = f"torque error, 100 ||tau - model|| / ||tau||, per joint ({how})"
     return Table(title, ("data, rows", *joint_numbers(result.robot.n), "mean"), rows, "p")
 

@@ -73,7 +73,7 @@ HARDLY_BETTER = "a plain exciting motion, driven a tenth longer, tells as much a
 
 
 def friction_warning(use: TorqueUse) -> tuple[str, ...]:
-    """That the forecast of torque has no friction in it, where it has none."""
+    """A warning that the forecast of torque has no friction in it; nothing where it has some."""
     if not use.frictionless:
         return ()
     every = len(use.frictionless) == len(use.largest)
@@ -134,7 +134,7 @@ def separation_verdict(s: Separation, kind: str) -> str:
     drive = "Drive this motion, or a plain one" if s.hardly else "Drive this motion"
     plain = f"a plain exciting motion of the same length {without}"
     if kind == "not_testable":
-        seen = [r for r, told in zip(s.rivals, s.after, strict=True) if told.reached >= 1]
+        seen = [r for r, apart in zip(s.rivals, s.after, strict=True) if apart.reached >= 1]
         names = listed(name_pairs(seen).replace("_", " ").split("; "), most=3)
         out = (
             f"{drive if seen else 'Drive another motion'}: of {count(of_all, 'cause')} that the "
@@ -143,16 +143,16 @@ def separation_verdict(s: Separation, kind: str) -> str:
         )
     else:
         names = listed(dict.fromkeys(effect_words(r.truth.effect.name) for r in s.rivals))
-        rival, told = min(zip(s.rivals, s.after, strict=True), key=lambda pair: pair[1].reached)
+        rival, apart = min(zip(s.rivals, s.after, strict=True), key=lambda pair: pair[1].reached)
         hardest = _place(rival) + (f" against {rival.name}" if rival.name else "")
-        times = math.ceil(DECISIVE / max(told.difference, 1e-9))
+        times = math.ceil(DECISIVE / max(apart.difference, 1e-9))
         out = (
             f"{drive}: it is expected to settle {after} of {count(of_all, 'question')} about "
             f"{names}, {plain}."
         )
-        if told.reached < 1 and (times == 1 or times >= 20):
+        if apart.reached < 1 and (times == 1 or times >= 20):
             out += f" It will hardly settle {hardest}."
-        elif told.reached < 1:
+        elif apart.reached < 1:
             out += f" The hardest, {hardest}, takes {times} drives."
     both = {(r.name, r.truth.effect.name) for r in s.rivals}
     nested = [r for r in s.hopeless if (r.truth.effect.name, r.name) in both]
@@ -177,8 +177,8 @@ def separation_table(s: Separation, kind: str) -> Table:
     pairs = zip(s.rivals, s.with_plain, s.after, strict=True)
     for r, *both in sorted(pairs, key=lambda pair: pair[2].reached):
         second = f"{max(r.truth.values, key=abs):.3g}" if testing else r.name
-        told = (f"{t.difference:.3g} {'*' if t.reached >= 1 else ' '}" for t in both)
-        rows.append((_place(r), second, *told))
+        differences = (f"{t.difference:.3g} {'*' if t.reached >= 1 else ' '}" for t in both)
+        rows.append((_place(r), second, *differences))
     headings = ("effect", "size") if testing else ("if it is", "and not")
     title = "expected difference of the squared residuals, in noise units; * decides"
     columns = (*headings, "plain motion", "this motion")

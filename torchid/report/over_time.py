@@ -92,7 +92,7 @@ class OverTime:
         return max(range(len(self.runs)), key=lambda k: self.runs[k].window(joint)[1])
 
     def error_unit(self, joint: int) -> tuple[str, float]:
-        """Of the errors below, and how many of it one of the joint's units is."""
+        """Unit of a joint's errors, and how many of it one unit of the joint's signal is."""
         return self.error or (self.units[joint], 1.0)
 
     def draw(self, joint: int | None = None, width: float = 10.0) -> Figure:
@@ -172,7 +172,7 @@ class OverTime:
 
 
 def noise_width(ends: Sequence[float]) -> float:
-    """Of the ends of a noise the upper one, or the lower one where nothing bounds it above."""
+    """Upper end of a noise, or its lower one where nothing bounds it above."""
     low, high = ends
     return low if math.isnan(high) else high
 

@@ -36,12 +36,13 @@ def verdict(pair: PairDiagnosis) -> str:
         return " ".join(
             filter(None, (f"The set-ups differ: {first.meaning}. {first.remedy}{then}", servos))
         )
-    if pair.which:
-        phrases = [
-            _more(one) + (f" at {joints_words(one.at)}" if one.at else "") for one in pair.which[:3]
-        ]
-        more = f", and {len(pair.which) - 3} more" if len(pair.which) > 3 else ""
-        return f"The set-ups agree; what differs: {'; '.join(phrases)}{more}."
+    # Causes with numbers of a servo are in the sentences about servos.
+    which = [one for one in pair.which if not (pair.servos and {*one.parameters} <= {*_WORDS})]
+    phrases = [_more(one) + (f" at {joints_words(one.at)}" if one.at else "") for one in which[:3]]
+    if phrases:
+        more = f", and {len(which) - 3} more" if len(which) > 3 else ""
+        whole = f"No fault of the set-up is seen; what differs: {'; '.join(phrases)}{more}."
+        return f"{whole} {servos}" if len(which) < len(pair.which) else whole
     if servos:
         return servos
     if pair.record.which is None:
@@ -58,6 +59,8 @@ def _servos(pair: PairDiagnosis) -> str:
         differences = [_difference(s) for s in pair.servos if s.joint == joint and s.differs]
         if differences:
             out.append(f"The real servo of joint {joint + 1} has {listed(differences)}.")
+    if not out and pair.of_arm is not None and pair.of_arm.answer.status != "no_gap":
+        return "The arm does not move as the simulator's servos do; no cause of that is sure."
     if not out:
         return "The servos of simulator and arm agree within what these logs show."
     return " ".join(out)

@@ -79,5 +79,5 @@ def kinds(result: Result | Log) -> Figures:
     if not place:
         return {}
     function = other_packages.loaded(place)
-    found: Figures = {kind: partial(function, result)} if kind else function(result)
-    return found
+    drawn: Figures = {kind: partial(function, result)} if kind else function(result)
+    return drawn

@@ -44,7 +44,8 @@ def before(record: PositionRecord, joint: JointRecord) -> float:
 
 
 def unit_of_errors(record: PositionRecord) -> str:
-    """Of joints' position errors; files without an answer are older than slides here."""
+    """Unit of the joints' position errors; files without an answer are older than joints that
+    slide."""
     return "mrad" if record.answer is None else record.answer.unit
 
 
@@ -64,13 +65,13 @@ def remarks(record: PositionRecord) -> list[str]:
         f"move: the command alone {far.commanded.whole_mrad:.1f} {unit}, {file}, a plain servo "
         f"refitted to this log {far.plain.whole_mrad:.1f}, corrected "
         f"{far.answered.whole_mrad:.1f}; in windows of 2 s {far.answered.windows_2s_mrad:.1f}. A "
-        "plain servo has a gain, friction, inertia, offset and a usual delay."
+        "plain servo has a gain, friction, inertia, and a usual offset and delay."
     ]
-    told = [j.noise_mrad for j in record.where.joints if not math.isnan(j.noise_mrad[0])]
-    if told:
-        low, high = min(a for a, _ in told), max(b for _, b in told)
+    noises = [j.noise_mrad for j in record.where.joints if not math.isnan(j.noise_mrad[0])]
+    if noises:
+        low, high = min(a for a, _ in noises), max(b for _, b in noises)
         out.append(
-            f"Repeats of motions tell the noise of {len(told)} joints, {low:.1f} to "
+            f"Repeats of motions tell the noise of {len(noises)} joints, {low:.1f} to "
             f"{high:.1f} {unit}."
         )
     if record.held_out is not UNSET:

@@ -98,8 +98,8 @@ class Table:
         yield table
 
     def _fitted(self, room: int) -> "tuple[Table, list[int], int]":
-        """Its columns that fit into `room` characters, their widths, none where all are as wide as
-        they like, and the characters between them."""
+        """The table with those columns that fit into `room` characters, their widths, none where
+        all are as wide as they like, and the characters between them."""
         whole, own, least = zip(*map(self._needs, range(len(self.columns))), strict=True)
         usual = [o if x == "p" else w for w, o, x in zip(whole, own, self.letters, strict=True)]
         if sum(usual) + 3 * len(usual) < room:
@@ -330,8 +330,8 @@ class Report:
         object.__setattr__(self, "parts", [part for part in self.parts if part])
 
     def plain(self) -> dict[str, object]:
-        """Its words as JSON has them: `verdict`, `parts` (tables and sentences), `warnings`,
-        `last`."""
+        """The report's words as JSON has them: `verdict`, `parts` (tables and sentences),
+        `warnings`, `last`."""
         parts = [part.plain() if isinstance(part, Table) else part for part in self.parts]
         words = {"verdict": self.verdict, "warnings": list(self.warnings), "last": self.last}
         return {**words, "parts": parts}

@@ -114,8 +114,8 @@ def joint_views(diagnosis: Diagnosis) -> tuple[JointView, ...]:
 
 
 def _positions(diagnosis: PositionDiagnosis) -> tuple[JointView, ...]:
-    """The same of positions: predicted is a plain servo's motion, and what all causes add to it is
-    one effect. Both were fitted without the motion that is shown."""
+    """Joints of a diagnosis of positions: predicted is a plain servo's motion, and what all causes
+    add to it is one effect. Both were fitted without the motion that is shown."""
     data, out = diagnosis.data, []
     plain, answered = diagnosis.errors
     for k, rows in enumerate(data.log.slices()):

@@ -9,28 +9,28 @@ from torchid.statistics.criteria import SET_MASS
 from torchid.withheld.planted import OUTSIDE, Calibration, Planted
 
 
-def report_of_calibration(found: Calibration) -> Report:
+def report_of_calibration(calibration: Calibration) -> Report:
     """What would be named on this log, were it there."""
-    return Report(verdict=calibration_headline(found), parts=[calibration_table(found)])
+    return Report(verdict=calibration_headline(calibration), parts=[calibration_table(calibration)])
 
 
-def calibration_headline(found: Calibration) -> str:
+def calibration_headline(calibration: Calibration) -> str:
     """How often causes are named, and what is of no library gets a sure name, in one sentence."""
-    inside = [p for p in found.planted if p.effect != OUTSIDE]
-    outside = [p for p in found.planted if p.effect == OUTSIDE]
+    inside = [p for p in calibration.planted if p.effect != OUTSIDE]
+    outside = [p for p in calibration.planted if p.effect == OUTSIDE]
     right, also = (sum(x) for x in ((p.named for p in inside), (p.in_set for p in inside)))
     text = (
-        f"Of {count(len(inside), 'cause')} {found.times:g} times as large as the remaining error, "
-        f"{right} {'was' if right == 1 else 'were'} named, {also} with those in a set"
+        f"Of {count(len(inside), 'cause')} {calibration.times:g} times as large as the remaining "
+        f"error, {right} {'was' if right == 1 else 'were'} named, {also} with those in a set"
     )
     sure = sum((p.how_sure or 0.0) >= SET_MASS for p in outside)
     return f"{text}; of {len(outside)} that no library has, {sure} got a sure name."
 
 
-def calibration_table(found: Calibration) -> Table:
+def calibration_table(calibration: Calibration) -> Table:
     """Kind by kind: how often it was named, and what was named in its place."""
     kinds: dict[str, list[Planted]] = {}
-    for one in found.planted:
+    for one in calibration.planted:
         kinds.setdefault(one.effect, []).append(one)
     rows = []
     for kind, same in kinds.items():

@@ -50,13 +50,13 @@ class Replication(Part, frozen=True, kw_only=True):
     asked: int
 
 
-def repeat_words(found: Replication | None) -> str:
+def repeat_words(replication: Replication | None) -> str:
     """`5 of 6`: motions that want the effect with the same sign and size, of those that can show
     it; of a log of one motion its stretches."""
-    if found is None:
+    if replication is None:
         return "-"
-    one = len({m.trajectory for m in found.motions}) == 1
-    return f"{found.repeats} of {found.asked}{' stretches' if one else ''}"
+    one = len({m.trajectory for m in replication.motions}) == 1
+    return f"{replication.repeats} of {replication.asked}{' stretches' if one else ''}"
 
 
 class RunValue(Part, frozen=True, kw_only=True):
@@ -134,7 +134,7 @@ def agreement(rows: Iterable[RunValue]) -> str:
 
 
 def _apart(runs: list[RunValue]) -> str:
-    """Of one cause: which runs want what."""
+    """Which runs want which value of one cause, in words."""
     odd = [r for r in runs if r.verdict == "differs"]
     others = [r for r in runs if r.verdict == "agrees"]
     name = runs[0].cause

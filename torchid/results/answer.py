@@ -62,7 +62,7 @@ others are for information."""
 COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 
 
-PLAIN_SERVO = "plain servo: gain, friction, inertia, offset and a usual delay, fitted to this log"
+PLAIN_SERVO = "plain servo: gain, friction, inertia, usual offset and delay, fitted to this log"
 """What the error before is of where the robot's file has no servo."""
 
 REMEDY = (
@@ -146,7 +146,7 @@ class JointRow:
 
     @property
     def label(self) -> str:
-        """Its number, and its name where it has one of its own."""
+        """The joint's number, and its name where it has one of its own."""
         j = self.error.joint
         return joint_labels([*[""] * j, self.error.name])[j]
 
@@ -253,7 +253,8 @@ class Answer(Part, frozen=True, kw_only=True):
 
     @property
     def fails(self) -> str:
-        """That the answer does not hold on data that were held out; empty where it does."""
+        """A sentence that the answer does not hold on data that were held out; empty where it
+        does."""
         after, left_out = self.after, self.left_out
         # 2.0: error of held-out data over that of motions left out in turn, from which on it is
         # said first
@@ -361,7 +362,7 @@ class Answer(Part, frozen=True, kw_only=True):
         return text
 
     def _so_far(self) -> str:
-        """Of a search that goes on: where the error is, and what removes most of it."""
+        """Headline of a search that goes on: where the error is, and what removes most of it."""
         moving = [j for j in self.joints if j.before == j.before]
         worst = sorted(moving, key=lambda j: -j.before)[:2]
         joints = listed(f"joint {j.joint + 1} ({digits(j.before)})" for j in worst)
@@ -578,7 +579,7 @@ class Diagnosis(Result):
 
 
 class Stopped(Part, frozen=True):
-    """That a search was stopped for want of time.
+    """A search that was stopped for want of time.
 
     Attributes:
         seconds: after which it was [s].

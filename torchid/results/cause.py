@@ -160,8 +160,13 @@ class Size:
     was: float | None = None
 
     @property
+    def field(self) -> str:
+        """Where a remedy sets a field of a file to it, as a pattern."""
+        return rf"\bto {self.name}\b"
+
+    @property
     def rounded(self) -> str:
-        """Its value with as many digits as its standard deviation leaves; none of no limit."""
+        """The value with as many digits as its standard deviation leaves; `none` of no limit."""
         if math.isinf(self.value):
             return "none"
         return digits(float(measure(self.value, self.std, "").split()[0]), 6)
@@ -293,7 +298,8 @@ class Cause(Part, frozen=True, kw_only=True):
 
     @property
     def any_of(self) -> str:
-        """Its set, the likeliest first, where another than itself is that; else nothing."""
+        """Names of the cause's set, the likeliest first, where another than its own is likeliest;
+        else empty."""
         ranked = sorted(self.probabilities, key=lambda name: -self.probabilities[name])
         return listed(map(effect_words, ranked if self.effect in ranked[1:] else []), "or")
 
@@ -307,15 +313,20 @@ class Cause(Part, frozen=True, kw_only=True):
         )
 
     @property
+    def no_field(self) -> bool:
+        """Whether its remedy sets a field of the file to a number that is negative there."""
+        return any(s.value < 0 and re.search(s.field, self.remedy) for s in self.sizes)
+
+    @property
     def known(self) -> tuple[Size, ...]:
-        """Those that the data determine; of what the file has those that it has."""
+        """Sizes that the data determine; of a change of the file those that the file has."""
         return tuple(
             s for s in self.sizes if s.determined and (s.was is not None or not self.changed)
         )
 
     @property
     def kind(self) -> str:
-        """Its branch in words, where no more is sure; else nothing."""
+        """The cause's branch in words, where no more is sure; else empty."""
         return BRANCHES[self.branch] if self.branch else ""
 
     @property
@@ -330,10 +341,10 @@ class Cause(Part, frozen=True, kw_only=True):
         return f"inertia of link{links}" if self.at else "inertial parameters"
 
     def values(self, std: bool = True) -> str:
-        """Its numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60 -> 15 N
-        m s/rad`; where the data determine none of them, or bodies have none, how much of the error
-        it removes; and of a load that its mass is not known. Without standard deviations the first
-        alone. Of a law `1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`."""
+        """The cause's numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60
+        -> 15 N m s/rad`; where the data determine none of them, or bodies have none, how much of
+        the error it removes; and of a load that its mass is not known. Without standard deviations
+        the first alone. Of a law `1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`."""
         if self.law is not UNSET:
             return self.law.words(std)
         massless = self.effect == PAYLOAD and any(not s.determined for s in self.sizes[:1])
@@ -391,7 +402,8 @@ def law_sizes(laws: Sequence[FrictionLaw]) -> str:
 
 
 def _side_by_side(sizes: Sequence[Size | None]) -> str:
-    """Of several joints: what the file has, once where it is the same everywhere, and the arm."""
+    """Values of several joints: what the file has, once where it is the same everywhere, and the
+    arm."""
     was = ["" if s is None or s.was is None else f"{digits(s.was)} -> " for s in sizes]
     one = was[0] if len(set(was)) == 1 else ""
     each = zip(was, sizes, strict=True)
@@ -405,24 +417,23 @@ def remedy_of(same: Sequence[Cause], short: bool = False) -> str:
     15, 20 N m s/rad in the simulator.`
 
     Args:
-        same: of one remedy.
+        same: of one remedy; if one of them has no field, none has.
         short: its first clause alone.
     """
     text = same[0].remedy
     if any(math.isinf(s.value) for c in same for s in c.sizes):
         return NO_LIMIT
+    if any(c.no_field for c in same):
+        return NO_FIELD
     if short:
         text = re.split(r"[,;:(]", text, maxsplit=1)[0].strip().rstrip(".")
     for size in same[0].sizes:
         by_joint = sorted(same, key=lambda c: c.at)
         own = [s for c in by_joint for s in c.sizes if s.name == size.name]
-        field = re.compile(rf"\bto {size.name}\b")
-        if not field.search(text) or len(own) < len(same):
+        if not re.search(size.field, text) or len(own) < len(same):
             continue
-        if any(s.value < 0 for s in own):
-            return NO_FIELD
         values = f"to {', '.join(s.rounded for s in own)} {unit_behind(size.unit)}"
-        text = field.sub(values.rstrip(), text)
+        text = re.sub(size.field, values.rstrip(), text)
     return text
 
 

@@ -126,9 +126,9 @@ def require_result(path: Path, what: str = "a result", hint: str | None = None) 
 
 def read_as(path: str | Path, record: type[_R], what: str, hint: str | None = None) -> _R:
     """A result of one kind of record; see `read`."""
-    found = read(path, [str(record.__struct_config__.tag)], what, hint)
-    assert isinstance(found, record)
-    return found
+    result = read(path, [str(record.__struct_config__.tag)], what, hint)
+    assert isinstance(result, record)
+    return result
 
 
 def contents(path: Path, what: str, hint: str | None = None) -> bytes:

@@ -409,9 +409,9 @@ def _tensor(kind: type[AbstractArray], value: Any) -> "Tensor":
     except msgspec.ValidationError as error:
         # Its place is one in the tensor; the tensor's own follows.
         raise ValueError(_PLACE.sub(r", entry \1", str(error))) from error
-    if not isinstance(found := torch.from_numpy(numbers), kind):
-        raise ValueError(f"Expected {kind.dim_str.strip()} numbers, got {tuple(found.shape)}")
-    return found
+    if not isinstance(tensor := torch.from_numpy(numbers), kind):
+        raise ValueError(f"Expected {kind.dim_str.strip()} numbers, got {tuple(tensor.shape)}")
+    return tensor
 
 
 def _robot(value: Any, source: str) -> "Robot":

@@ -59,31 +59,31 @@ def agreement_of(causes: Iterable[Cause]) -> Rows[RunValue]:
     asked = []
     for cause in causes:
         runs = {} if cause.replication is None else _by_run(cause.replication.motions)
-        told = {name: (x, v) for name, (x, v) in runs.items() if v <= TELLING_STD**2}
+        telling = {name: (x, v) for name, (x, v) in runs.items() if v <= TELLING_STD**2}
         known = [s for s in cause.sizes if s.std and s.determined and s.value != s.was]
-        if known and len(told) > 1:
+        if known and len(telling) > 1:
             best = max(known, key=lambda s: abs(s.value) / (s.std or math.inf))
-            asked.append((cause, best, runs, told))
+            asked.append((cause, best, runs, telling))
     rows = []
-    for cause, size, runs, told in asked:
-        x, v = torch.tensor(list(told.values()), dtype=torch.float64).unbind(1)
+    for cause, size, runs, telling in asked:
+        x, v = torch.tensor(list(telling.values()), dtype=torch.float64).unbind(1)
         # 0.05: share of logs whose runs agree of which it is said that they do not
-        apart = dict(zip(told, _apart(x, v, 0.05 / len(asked)).tolist(), strict=True))
+        apart = dict(zip(telling, _apart(x, v, 0.05 / len(asked)).tolist(), strict=True))
         mean, mean_std, spread = _merged(x, v)
         # A factor is of what was found beside what was known before.
         was = size.was or 0.0
-        found = size.value - was
+        change = size.value - was
         for run in runs:
-            factor, variance = told.get(run, (math.nan, math.nan))
+            factor, variance = telling.get(run, (math.nan, math.nan))
             std = math.sqrt(variance)
             odd: Verdict = "differs" if apart.get(run) else "agrees"
             rows.append(
                 RunValue(
                     effect=cause.effect, joints=cause.at, parameter=size.name, unit=size.unit,
-                    run=run, value=was + factor * found, std=std * abs(found),
-                    wanted=abs(factor) > 2 * math.hypot(BETWEEN, std) if run in told else None,
-                    verdict=odd if run in told else "cannot tell", merged=was + mean * found,
-                    merged_std=mean_std * abs(found), spread=spread * abs(found),
+                    run=run, value=was + factor * change, std=std * abs(change),
+                    wanted=abs(factor) > 2 * math.hypot(BETWEEN, std) if run in telling else None,
+                    verdict=odd if run in telling else "cannot tell", merged=was + mean * change,
+                    merged_std=mean_std * abs(change), spread=spread * abs(change),
                 )
             )  # fmt: skip
     return Rows(rows)

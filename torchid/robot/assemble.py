@@ -179,8 +179,8 @@ def _compensated(tree: Tree, part: Part) -> Float[Tensor, "L 4"] | None:
         return None
     rows = [_merged(tree, group, tree.compensated) for group in part.groups[1:]]
     none = torch.zeros(PARAMETERS_PER_LINK, dtype=torch.float64)
-    found = torch.stack([none if row is None else row for row in rows])[:, :4]
-    return found if bool(found.any()) else None
+    stacked = torch.stack([none if row is None else row for row in rows])[:, :4]
+    return stacked if bool(stacked.any()) else None
 
 
 def _intervals(rows: Sequence[Interval | None]) -> Tensor | None:

@@ -32,7 +32,7 @@ _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def on_moving_base(robot: Robot) -> Robot:
-    """The same robot, its base carried along by six coordinates of its own, first of all.
+    """The robot with its base carried along by six coordinates of its own, first of all.
 
     Args:
         robot: of a file that says which link its base is.

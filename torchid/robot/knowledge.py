@@ -168,8 +168,8 @@ class Knowledge:
         return replace(self, root=_left_of(changes, rows))
 
     def shifted(self, change: Float[Tensor, " M"]) -> "Knowledge":
-        """Of other values, which were chosen and not measured: the covariance plus change change',
-        as if the change were one standard deviation of what is not known.
+        """What is known of other values, which were chosen and not measured: the covariance plus
+        change change', as if the change were one standard deviation of what is not known.
 
         Args:
             change: of inertial parameters, link by link, and coefficients.
@@ -229,7 +229,7 @@ def to_mapping(knowledge: Knowledge) -> dict[str, list[str]]:
 
 
 def from_mapping(data: Any, n: int, source: str) -> Knowledge:
-    """Of the parsed yaml of a robot with n links; `source` names it in errors.
+    """Knowledge from the parsed yaml of a robot with n links; `source` names it in errors.
 
     Raises:
         RobotError: unknown keys, or rows of another length than the coefficients ask for.

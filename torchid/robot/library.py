@@ -97,11 +97,11 @@ def load_both(params: str, robot: str | None, choice: Choice) -> tuple[Robot, Ro
     both = [params] if robot is None else [params, robot]
     # A part is chosen of the files that can branch; where none can, the reader refuses it.
     trees = [name for name in both if Path(name).suffix.lower() in (*URDF_FILES, ".xml")]
-    found = [
+    pair = [
         load_robot(name, **(choice if name in trees or not trees else Choice()).options)
         for name in both
     ]
-    return found[0], found[-1]
+    return pair[0], pair[-1]
 
 
 def named_record(robot: Robot) -> dict[str, Any]:
@@ -141,9 +141,9 @@ def named_robot(result: Path, data: Mapping[str, Any], choice: Choice | None = N
     for place in (source, name):
         if not isinstance(place, str):
             continue
-        for found in (place, str(result.parent / place)):
-            if found in built_in_robots() or (names_robot(found) and Path(found).is_file()):
-                return load_robot(found, **(choice or recorded).options)
+        for file in (place, str(result.parent / place)):
+            if file in built_in_robots() or (names_robot(file) and Path(file).is_file()):
+                return load_robot(file, **(choice or recorded).options)
     raise TorchidError(
         f"`robot=...` is needed: the robot of '{result}' was not found.",
         got=source or name,

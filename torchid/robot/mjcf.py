@@ -57,8 +57,8 @@ def read_mjcf(
             robot, a loop of bodies is closed, nothing moves, an unknown link or joint.
     """
     path, choice = Path(path), Choice(tip, root, dict(lock or {}), base)
-    found = compiled(path)
-    spec, model = found.spec, found.model
+    read = compiled(path)
+    spec, model = read.spec, read.model
     mimics = _mimics(spec, model)
     tree = spec_tree(spec, str(path), mimics, model, tip)
     shares = {b.name: float(model.body_gravcomp[b.id]) for b in spec.bodies}
@@ -71,7 +71,7 @@ def read_mjcf(
         name=path.stem if spec.modelname in ("", _UNNAMED) else spec.modelname,
         gravity=_NO_GRAVITY if off else model.opt.gravity.tolist(),
         path=path,
-        warnings=[*found.warnings, *_not_modelled(spec, model, len(mimics), off)],
+        warnings=[*read.warnings, *_not_modelled(spec, model, len(mimics), off)],
     )
 
 
@@ -269,23 +269,23 @@ def mjcf_servos(path: Path, joints: Iterable[str]) -> list[dict[str, float]]:
         RobotError: MuJoCo cannot compile the file.
     """
     model = compiled(path).model
-    kinds, found = mujoco.mjtTrn, dict[int, list[dict[str, float]]]()
+    kinds, servos = mujoco.mjtTrn, dict[int, list[dict[str, float]]]()
     for a in range(model.nu):
         joint, gear = int(model.actuator_trnid[a, 0]), float(model.actuator_gear[a, 0])
         if int(model.actuator_trntype[a]) == int(kinds.mjTRN_TENDON):
             first, count = int(model.tendon_adr[joint]), int(model.tendon_num[joint])
             if count == 2 and model.tendon(joint).name.startswith(SET_POINT):
                 joint = int(model.wrap_objid[first])
-                found[joint] = [_with_set_point(model, _servo(model, a, joint, gear), joint)]
+                servos[joint] = [_with_set_point(model, _servo(model, a, joint, gear), joint)]
                 continue
             if count != 1 or int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT):
                 continue
             joint, gear = int(model.wrap_objid[first]), gear * float(model.wrap_prm[first])
         elif int(model.actuator_trntype[a]) != int(kinds.mjTRN_JOINT):
             continue
-        found.setdefault(joint, []).append(_servo(model, a, joint, gear))
+        servos.setdefault(joint, []).append(_servo(model, a, joint, gear))
     ids = [mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name) for name in joints]
-    return [found[k][0] if len(found.get(k, ())) == 1 else {} for k in ids]
+    return [servos[k][0] if len(servos.get(k, ())) == 1 else {} for k in ids]
 
 
 def _servo(model: Any, actuator: int, joint: int, gear: float) -> dict[str, float]:

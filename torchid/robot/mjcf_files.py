@@ -22,7 +22,8 @@ _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
 
 def require_end(path: Path) -> None:
-    """That MuJoCo comes to an end with an MJCF, whatever it and the files that it includes say.
+    """Refuse an MJCF that MuJoCo would not come to an end with, whatever it and the files that it
+    includes say.
 
     Raises:
         RobotError: more copies or numbers than any robot has, a file that includes or attaches

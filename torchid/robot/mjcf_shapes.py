@@ -42,9 +42,9 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
     Raises:
         RobotError: MuJoCo cannot compile the file any more.
     """
-    found = compiled(path)
-    model = found.model
-    own = [_body_shapes(model, body, found.shapeless) for body in range(model.nbody)]
+    compiled_model = compiled(path)
+    model = compiled_model.model
+    own = [_body_shapes(model, body, compiled_model.shapeless) for body in range(model.nbody)]
     parts: dict[str, tuple[list[Solid], str] | None] = {}
     read: dict[str, list[Solid]] = {}
     problems = []
@@ -68,7 +68,9 @@ def mjcf_shapes(path: Path, robot: Robot) -> LinkShapes:
         "mesh is absent, or a body has mass and no geom."
     )
     base, planes = _world(model)
-    if any(collides and not _moved_by(model, b) for b, collides in found.shapeless.items()):
+    if any(
+        collides and not _moved_by(model, b) for b, collides in compiled_model.shapeless.items()
+    ):
         base = None
     return assembled(
         [parts.get(name) for name in robot.link_names],

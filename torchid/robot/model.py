@@ -191,7 +191,7 @@ class BaseLink:
 
 
 def _make_tensor(thing: object, name: str, what: str) -> None:
-    """Of a field that may be given as an array or lists; None stays."""
+    """Make a tensor of a field that may be given as an array or lists; None stays."""
     if getattr(thing, name) is not None:
         object.__setattr__(thing, name, as_tensor(getattr(thing, name), what, RobotError))
 
@@ -466,9 +466,9 @@ class Robot:
         Raises:
             RobotError: no such end, or several and no name.
         """
-        found = [tip for tip in self.ends if name in (None, tip.name)]
-        if len(found) == 1:
-            return found[0]
+        tips = [tip for tip in self.ends if name in (None, tip.name)]
+        if len(tips) == 1:
+            return tips[0]
         raise RobotError(
             f"robot '{self.name}' has "
             + ("several tips, and one is needed." if name is None else "no such tip."),
@@ -511,16 +511,16 @@ class Robot:
         return self.parameters
 
     def with_parameters(self, parameters: InertialParameters | None) -> "Robot":
-        """The same robot with other nominal inertial parameters, of which nobody says how sure
-        they are."""
+        """This robot with other nominal inertial parameters, of which nobody says how sure they
+        are."""
         return replace(self, parameters=parameters, knowledge=None)
 
     def without_gravity(self) -> "Robot":
-        """The same robot for logs whose torques hold no gravity: a controller has taken it out."""
+        """This robot for logs whose torques hold no gravity: a controller has taken it out."""
         return replace(self, gravity=torch.zeros_like(self.gravity))
 
     def with_limits(self, **limits: float | Numbers) -> "Robot":
-        """The same robot with other limits of motion or torque.
+        """This robot with other limits of motion or torque.
 
         Args:
             limits: `position`, `velocity`, `acceleration` or `torque`: (n, 2) lower and upper
@@ -557,7 +557,7 @@ class Robot:
         *,
         tip: str | None = None,
     ) -> "Robot":
-        """The same robot with a body that its last link carries, as part of its nominal parameters.
+        """This robot with a body that its last link carries, as part of its nominal parameters.
 
         Args:
             mass: [kg].

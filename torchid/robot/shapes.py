@@ -143,13 +143,13 @@ def own_inertials(robot: Robot) -> tuple[OwnInertial, ...]:
     inertials = {name: e.find("inertial") for name, e in elements.items()}
     given = {name: inertial for name, inertial in inertials.items() if inertial is not None}
     groups = [set(_group(tree, link)) for link in robot.link_names]
-    found = []
+    own = []
     for name, inertial in given.items():
         where = f"{path}: link '{name}'"
         moving = next((i for i, group in enumerate(groups) if name in group), None)
         alone = moving is not None and len(groups[moving] & given.keys()) == 1
-        found.append(OwnInertial(name, moving, alone, *inertial_values(inertial, where)))
-    return tuple(found)
+        own.append(OwnInertial(name, moving, alone, *inertial_values(inertial, where)))
+    return tuple(own)
 
 
 def _tree_of(path: Path, robot: Robot) -> tuple[Tree, dict[str, Any]]:
@@ -173,11 +173,11 @@ def _group(tree: Tree, link: str) -> Mapping[str, Tensor]:
 def _own_shapes(element: Any, placed: Tensor, where: str, path: Path) -> _OwnShapes:
     problem = None
     for tag in _TAGS:
-        found = element.findall(tag)
-        if not found:
+        elements = element.findall(tag)
+        if not elements:
             continue
         try:
-            solids = tuple(_solid(shape, placed, where, path) for shape in found)
+            solids = tuple(_solid(shape, placed, where, path) for shape in elements)
         except RobotError as error:
             problem = problem or error.problem
         else:
@@ -191,22 +191,22 @@ def _own_shapes(element: Any, placed: Tensor, where: str, path: Path) -> _OwnSha
 def _solid(shape: Any, placed: Tensor, where: str, path: Path) -> Solid:
     geometry = child(shape, "geometry", where)
     pose = placed @ origin(shape, where)
-    found = next((e for tag in _GEOMETRIES if (e := geometry.find(tag)) is not None), None)
-    if found is None:
+    solid = next((e for tag in _GEOMETRIES if (e := geometry.find(tag)) is not None), None)
+    if solid is None:
         raise RobotError(f"{where}: <{shape.tag}> has a geometry that is not known.")
-    if found.tag == "mesh":
-        return points(pose, _corners(found, where, path))
-    if found.tag == "box":
-        attribute(found, "size", where)
-        size = torch.tensor(numbers(found, "size", 3, where), dtype=torch.float64)
+    if solid.tag == "mesh":
+        return points(pose, _corners(solid, where, path))
+    if solid.tag == "box":
+        attribute(solid, "size", where)
+        size = torch.tensor(numbers(solid, "size", 3, where), dtype=torch.float64)
         if bool((size < 0).any()):
             raise RobotError(f"{where}: <box size> is negative.", got=size.tolist())
         return box(pose, size / 2)
-    radius = _size(found, "radius", where)
-    if found.tag == "sphere":
+    radius = _size(solid, "radius", where)
+    if solid.tag == "sphere":
         return capsule(pose, radius, 0.0)
-    length = _size(found, "length", where)
-    return (cylinder if found.tag == "cylinder" else capsule)(pose, radius, length)
+    length = _size(solid, "length", where)
+    return (cylinder if solid.tag == "cylinder" else capsule)(pose, radius, length)
 
 
 def _size(element: Any, key: str, where: str) -> float:
@@ -262,16 +262,16 @@ def joint_points(robot: Robot) -> Float[Tensor, "L 2 3"]:
 
 
 def next_origins(robot: Robot) -> Float[Tensor, "L 3"]:
-    """Of the joints that each link carries the origin of the furthest from its own, in its frame
-    [m]; of the tip for a link that carries none."""
+    """Origin (L, 3) of the furthest joint that each link carries, in the link's frame [m]; of the
+    tip for a link that carries none."""
     own = torch.linalg.inv(robot.after)[:, :3, 3]
     tips = {tip.link: tip.pose[:3, 3] for tip in robot.ends}
     out = []
     for link in range(robot.n_links):
-        found = [robot.before[k, :3, 3] for k, above in enumerate(robot.parents) if above == link]
-        found = found or [tips[link]]
-        away = torch.stack([(point - own[link]).norm() for point in found])
-        out.append(found[int(away.argmax())])
+        origins = [robot.before[k, :3, 3] for k, above in enumerate(robot.parents) if above == link]
+        origins = origins or [tips[link]]
+        away = torch.stack([(point - own[link]).norm() for point in origins])
+        out.append(origins[int(away.argmax())])
     return torch.stack(out)
 
 

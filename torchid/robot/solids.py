@@ -85,8 +85,8 @@ def _stl(data: bytes) -> np.ndarray:
     return _words(_STL_VERTEX.findall(data))
 
 
-def _words(found: list[tuple[bytes, bytes, bytes]]) -> np.ndarray:
-    return np.array([[float(word) for word in row] for row in found]).reshape(-1, 3)
+def _words(lines: list[tuple[bytes, bytes, bytes]]) -> np.ndarray:
+    return np.array([[float(word) for word in row] for row in lines]).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,13 +99,13 @@ def attribute(element: Any, name: str, where: str) -> str:
 
 def child(element: Any, tag: str, where: str) -> Any:
     """A required child element, or a RobotError."""
-    found = element.find(tag)
-    if found is None:
+    element_below = element.find(tag)
+    if element_below is None:
         raise RobotError(
             f"{where}: <{element.tag}> needs a <{tag}>.",
             got=[c.tag for c in element if isinstance(c.tag, str)],
         )
-    return found
+    return element_below
 
 
 def numbers(
@@ -165,14 +165,14 @@ def inertial_values(inertial: Any, where: str) -> tuple[float, Tensor]:
 
 def origin(element: Any, where: str) -> Tensor:
     """(4, 4) pose of the <origin> in an element; the identity where there is none."""
-    found = element.find("origin")
-    if found is None:
+    placement = element.find("origin")
+    if placement is None:
         return pose()
-    position = numbers(found, "xyz", 3, where) or [0.0, 0.0, 0.0]
-    xyzw = numbers(found, "quat_xyzw", 4, where)
+    position = numbers(placement, "xyz", 3, where) or [0.0, 0.0, 0.0]
+    xyzw = numbers(placement, "quat_xyzw", 4, where)
     if xyzw is not None:
         if not any(xyzw):
             raise RobotError(f"{where}: <origin quat_xyzw> is zero.", got=xyzw)
         return pose(quaternion([xyzw[3], *xyzw[:3]]), position)
-    rpy = numbers(found, "rpy", 3, where) or [0.0, 0.0, 0.0]
+    rpy = numbers(placement, "rpy", 3, where) or [0.0, 0.0, 0.0]
     return pose(roll_pitch_yaw(rpy), position)

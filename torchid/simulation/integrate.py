@@ -40,7 +40,7 @@ _MOST_CHANGES = 12  # of the set of joints that stick; three suffice but for pat
 
 
 class State(NamedTuple):
-    """Of a batch of arms, between steps.
+    """What a batch of B arms is in between two steps.
 
     Attributes:
         q, dq: (B, n).

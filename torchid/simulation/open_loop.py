@@ -98,11 +98,11 @@ def undone(
     for effect, values in reversed(effects):
         if not changes_measurement(effect):
             continue
-        found = _affine(robot, effect, values)
-        if found is None:
+        affine = _affine(robot, effect, values)
+        if affine is None:
             ignored.append(effect.name)
             continue
-        gain, offset, moved = (x.to(tau) for x in found)
+        gain, offset, moved = (x.to(tau) for x in affine)
         tau = torch.linalg.solve_ex(gain, (tau - offset).unsqueeze(-1))[0].squeeze(-1)
         shift = shift + moved
     return tau, shift, tuple(dict.fromkeys(reversed(ignored)))
@@ -127,8 +127,8 @@ def runs(robot: Robot, effect: Effect, values: Sequence[float]) -> bool:
     in the torque sensors alone and can be undone there."""
     if not changes_measurement(effect):
         return adds_torque(effect)
-    found = _affine(robot, effect, values)
-    return found is not None and not bool(found[2].any())
+    affine = _affine(robot, effect, values)
+    return affine is not None and not bool(affine[2].any())
 
 
 def _affine(

@@ -509,7 +509,8 @@ class _Lanes(NamedTuple):
 
 @_compiled
 def _parameters(a: Array, joint: Array, i: int, dt: float, h: float) -> None:
-    """Those of one servo (K,), and what follows from them, into place i of a set's slots."""
+    """Write the parameters (K,) of one servo, and what follows from them, into place i of a set's
+    slots."""
     for k in range(len(joint)):
         a[k * SLOT + i] = joint[k]
     kp, kd = a[KP + i], a[KD + i]

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import torch
 
 from torchid.effects.base import Effect, Motion
-from torchid.effects.friction_laws import RESTING
 from torchid.effects.registry import nominal_effects
 from torchid.errors import TorchidError
+from torchid.log.movement import RESTING
 from torchid.robot.model import Robot
 from torchid.simulation.loads import BatchEffects, adds_torque
 from torchid.typing import Float, Int, Tensor

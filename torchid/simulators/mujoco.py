@@ -201,7 +201,7 @@ class Effects:
         return torque @ self._gain.T + self._offset if self._sensed else torque
 
     def _motors(self, now: Motion) -> Motion:
-        """The same motion where the encoders are: on the motors' side of gears."""
+        """The motion where the encoders are: on the motors' side of gears."""
         if self._gears is None:
             return now
         q, dq = now.q.clone(), now.dq.clone()

@@ -33,9 +33,9 @@ import numpy.typing as npt
 import torch
 
 from torchid.dynamics.forward import bias_torque
-from torchid.effects.friction_laws import RESTING
 from torchid.effects.servo import NAMES, PARAMETERS
 from torchid.errors import TorchidError
+from torchid.log.movement import RESTING
 from torchid.robot.model import Robot
 from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import FASTEST, compensation, profile_step

@@ -64,8 +64,8 @@ def autocorrelation(
     # Zeros for as long as the series; lengths of few small factors are fast.
     least = 2 * max(1, longest)
     size = min(k * 2 ** max(0, math.ceil(math.log2(least / k))) for k in (1, 3, 5))
-    found = (torch.fft.rfft(x[..., b], n=size) for b in parts)
-    power = sum(f.real.square() + f.imag.square() for f in found)
+    spectra = (torch.fft.rfft(x[..., b], n=size) for b in parts)
+    power = sum(f.real.square() + f.imag.square() for f in spectra)
     covariance = torch.fft.irfft(power, n=size)[..., :longest]
     return covariance / covariance[..., :1].clamp(min=1e-300)
 

@@ -32,7 +32,7 @@ class Draws:
 
     @classmethod
     def of(cls, block: Int[Tensor, " N"], seed: int = 0) -> "Draws":
-        """Of a log whose samples are in these blocks (N,)."""
+        """Draws of a log whose samples are in these blocks (N,)."""
         count = int(block.max()) + 1
         g = torch.Generator().manual_seed(seed)
         numbers = torch.randint(count, (DRAWS, max(1, round(DRAWN_SHARE * count))), generator=g)

@@ -95,7 +95,7 @@ def root_of(a: np.ndarray) -> np.ndarray:
 
 
 def price_of(looks: int) -> float:
-    """Of looking at so many causes [nats]."""
+    """What looking at so many causes costs [nats]."""
     return math.log(max(1, looks) / EXPECTED)
 
 
@@ -106,15 +106,15 @@ def probabilities_of(rises: np.ndarray) -> list[float]:
     return (weights / weights.sum(0)).mean(1).tolist()
 
 
-def most_sure(told: np.ndarray, fall: np.ndarray, rest: np.ndarray, whole: float) -> float:
+def most_sure(likelihoods: np.ndarray, fall: np.ndarray, rest: np.ndarray, whole: float) -> float:
     """How sure a cause can be beside what is left without one: of the squares that it and the rest
     take on the joints that tell of it, and of the whole arm's.
 
     Args:
-        told: (n,) likelihood by which each joint tells of it [nats].
+        likelihoods: (n,) likelihood by which each joint tells of it [nats].
         fall, rest: (n,) mean squares that it takes, and that are left.
         whole: share of the arm's squares that is left.
     """
     shares = rest / np.maximum(fall + rest, 1e-300)
-    share = float((told * shares).sum() / max(told.sum(), 1e-300))
+    share = float((likelihoods * shares).sum() / max(likelihoods.sum(), 1e-300))
     return 1 / (1 + DOUBT * max(share, whole))

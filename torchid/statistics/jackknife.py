@@ -15,7 +15,8 @@ noise is, the power -1/2 is unbiased (Bell and McCaffrey 2002). Where it sits in
 determines the direction, as slow noise beside slow columns does, E g_k g_k' is (1 - H_k) S_k
 (1 - H_k) for the noise S_k, and the power -1 is, which is the solution without the block (the
 delete-one jackknife, Kuensch 1989). Residuals of a robot are in between, and so is the power: the
-geometric mean of both. tests/statistics and tests/calibration hold the coverage it gives.
+geometric mean of both, but where what is left of real logs was measured to be misfit: there callers
+ask for -1. tests/statistics and tests/calibration hold the coverage it gives.
 
 V is itself estimated from K blocks, of which few may hold what determines a parameter. Its degrees
 of freedom are those of the chi square with the mean and variance that V has for white residuals
@@ -112,8 +113,8 @@ class Shares:
     def alone(self, share: float) -> Float[Tensor, "D A"]:
         """Orthonormal directions of which one block holds more than a share above one half."""
         values, axes = torch.linalg.eigh(self.held)
-        found = axes.transpose(1, 2)[values > share].T
-        left, sizes, _ = torch.linalg.svd(found, full_matrices=False)
+        directions = axes.transpose(1, 2)[values > share].T
+        left, sizes, _ = torch.linalg.svd(directions, full_matrices=False)
         return left[:, sizes > 1e-6]
 
     def freedom(self, along: Float[Tensor, "Q D"]) -> Float[Tensor, " Q"]:
@@ -136,6 +137,7 @@ def jackknife(
     variance: float = 0.0,
     combinations: Float[Tensor, "Q P"] | None = None,
     known: Float[Tensor, "P P"] | None = None,
+    power: float | None = None,
 ) -> Jackknife:
     """Covariance of a least-squares (or Huber) solution from its blocks' normal equations.
 
@@ -148,6 +150,7 @@ def jackknife(
             coordinates from a QR factor, and here the way back.
         known: (P, P) inverse covariance of what was known of the parameters beforehand, in units of
             the rows' residuals, with which they were solved for; nothing if None.
+        power: of what the other blocks hold; LEVERAGE if None.
     """
     # Coordinates of unit Gram: columns of length one first, so that units do not matter.
     before = torch.zeros_like(hessians[0]) if known is None else known
@@ -163,7 +166,8 @@ def jackknife(
     # Each block's pull, raised by as much as the solution followed it.
     left, axes = torch.linalg.eigh(torch.eye(held.shape[-1]).to(held) - held)
     alone = left < ALONE
-    stretch = torch.where(alone, 0.0, left.clamp(min=ALONE) ** -LEVERAGE)
+    power = LEVERAGE if power is None else power
+    stretch = torch.where(alone, 0.0, left.clamp(min=ALONE) ** -power)
     adjusted = back @ ((axes * stretch.unsqueeze(1)) @ axes.transpose(1, 2))  # (K, Q, D)
     steps = (adjusted @ (gradients @ root).unsqueeze(-1)).squeeze(-1)
     covariance = steps.T @ steps

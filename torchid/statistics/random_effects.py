@@ -161,15 +161,15 @@ def deviance(
 ) -> Float[Tensor, " P"]:
     """-2 times the restricted log-likelihood, up to a constant."""
     counts = data.counts
-    found = means(data, between, daily)
+    fitted = means(data, between, daily)
     w = torch.where(counts, 1 / (data.variances + daily.square().unsqueeze(1)), 1.0)
-    left = torch.where(counts, data.values - found.mean[:, data.unit], 0.0)
+    left = torch.where(counts, data.values - fitted.mean[:, data.unit], 0.0)
     within = torch.where(counts, -w.log() + w * left.square(), 0.0).sum(1)
-    there = found.mean.isfinite()
-    spread = between.square().unsqueeze(1) + found.variance
-    off = (found.mean - found.centre.unsqueeze(1)).square() / spread
-    of_units = torch.where(there, -found.variance.log() + spread.log() + off, 0.0).sum(1)
-    return within + of_units - found.centre_variance.log()
+    there = fitted.mean.isfinite()
+    spread = between.square().unsqueeze(1) + fitted.variance
+    off = (fitted.mean - fitted.centre.unsqueeze(1)).square() / spread
+    of_units = torch.where(there, -fitted.variance.log() + spread.log() + off, 0.0).sum(1)
+    return within + of_units - fitted.centre_variance.log()
 
 
 def _lowest(function: Objective, low: Tensor, high: Tensor) -> Tensor:

@@ -23,8 +23,8 @@ def column_quantile(x: Float[Tensor, "N n"], share: float) -> Float[Tensor, " n"
     two = [low, min(low + 1, len(x) - 1)]
     parted = np.partition(x.T.contiguous().cpu().numpy(), two, axis=1)[:, two]
     below, above = torch.from_numpy(parted).to(x).unbind(1)
-    found = torch.lerp(below, above, place - low)
-    return torch.where(x.isnan().any(0), torch.nan, found)
+    quantile = torch.lerp(below, above, place - low)
+    return torch.where(x.isnan().any(0), torch.nan, quantile)
 
 
 def robust_std(x: Float[Tensor, "n N"]) -> Float[Tensor, " n"]:

@@ -202,21 +202,22 @@ def demonstrate(files: Files, seed: int, progress: Progress | None = None) -> De
     examination = examine(robot, log)
     identification = identify(robot, log, held_out=new, progress=progress)
     settings, pace = GapSettings(seed=seed), Pace(progress, STAGES)
-    found = diagnose_torque(robot, log, held_out=new, settings=settings, pace=pace)
+    diagnosis = diagnose_torque(robot, log, held_out=new, settings=settings, pace=pace)
     withheld = read_json(files.key, "the key of the demonstration")["withheld"]
     opened = tuple(
-        Comparison(one, one is withheld, _finding(found, one, robot)) for one in (*PLAIN, withheld)
+        Comparison(one, one is withheld, _finding(diagnosis, one, robot))
+        for one in (*PLAIN, withheld)
     )
     right = [one.finding for one in opened]
-    others = tuple(f for f in found.which if not any(f is one for one in right))
-    return Demo(files, examination, identification, found, opened, others)
+    others = tuple(f for f in diagnosis.which if not any(f is one for one in right))
+    return Demo(files, examination, identification, diagnosis, opened, others)
 
 
-def _finding(found: TorqueDiagnosis, planted: dict[str, Any], robot: Robot) -> Cause | None:
+def _finding(diagnosis: TorqueDiagnosis, planted: dict[str, Any], robot: Robot) -> Cause | None:
     """The finding that names a planted effect, at its joint where it has one."""
     ((effect, _),) = nominal_effects(replace(robot, effects=(planted,)))
     joint = planted.get("joint")
-    for f in found.which:
+    for f in diagnosis.which:
         if f.effect == effect.name and (joint is None or joint - 1 in f.joints):
             return f
     return None

@@ -201,9 +201,9 @@ def _plantings(
 ) -> Iterator[Planting]:
     """Causes, the most wanted first, without end unless no joint moves."""
     motions = [_with_load(bed.robot, s.motion) for s in segments]
-    found = [f for f in diagnosis.which if f.effect != LINK]
-    names = [f.effect for f in found]
-    names += [name.partition(" ")[0] for f in found for name in f.ambiguous_with]
+    named_causes = [f for f in diagnosis.which if f.effect != LINK]
+    names = [f.effect for f in named_causes]
+    names += [name.partition(" ")[0] for f in named_causes for name in f.ambiguous_with]
     names = [n for n in dict.fromkeys((*names, *USUAL)) if _can_be_planted(n, motions[0])]
     # A joint that leaves nothing moves not, or has no torque.
     after = diagnosis.how_far.rms_after.nan_to_num()
@@ -278,9 +278,9 @@ def _planted(
 ) -> Planted:
     torch.set_num_threads(1)
     log = with_torque(bed.log, rates, planting.torque)
-    found = diagnose_torque(bed.robot, log, settings=bed.settings, force=True)
+    diagnosis_after = diagnose_torque(bed.robot, log, settings=bed.settings, force=True)
     there = {(f.effect, f.at) for f in before.which}
-    effects = [f for f in found.which if f.effect != LINK]
+    effects = [f for f in diagnosis_after.which if f.effect != LINK]
     new = [f for f in effects if (f.effect, f.at) not in there]
     name, place = planting.name, (planting.joint,)
     inside = name != OUTSIDE
@@ -288,8 +288,8 @@ def _planted(
         effect=name,
         joint=planting.joint,
         size=planting.size,
-        named=inside and named(found, name, place),
-        in_set=inside and in_set(found, name, place),
+        named=inside and named(diagnosis_after, name, place),
+        in_set=inside and in_set(diagnosis_after, name, place),
         branch=inside and any(_alike(f, KINDS[name].branch, place) for f in effects),
         how_sure=max((f.probabilities[f.effect] for f in new if not f.one_of_a_set), default=None),
         named_instead=tuple(
@@ -298,14 +298,14 @@ def _planted(
     )
 
 
-def named(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
+def named(diagnosis: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     """Whether an effect was named at its place."""
-    return any((f.effect, f.at) == (name, place) for f in found.which)
+    return any((f.effect, f.at) == (name, place) for f in diagnosis.which)
 
 
-def in_set(found: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
+def in_set(diagnosis: TorqueDiagnosis, name: str, place: tuple[int, ...]) -> bool:
     """Named, or among what a finding at its place, or of the whole arm, cannot be told from."""
-    said = [({f.effect, *f.ambiguous_with} - {LINK}, f.at) for f in found.causes]
+    said = [({f.effect, *f.ambiguous_with} - {LINK}, f.at) for f in diagnosis.causes]
     return any(name in names and (not place or not at or at == place) for names, at in said)
 
 

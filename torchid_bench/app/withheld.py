@@ -32,7 +32,7 @@ class Workers:
 
     @property
     def count(self) -> int:
-        """Of processes; all cores that this one may use, by default."""
+        """Number of processes: by default one a core that this one may use."""
         from joblib import cpu_count
 
         return self.jobs or cpu_count()
@@ -98,8 +98,8 @@ def run_command(
     from torchid_bench.withheld.case_set import read_cases
     from torchid_bench.withheld.run import ERROR, jobs_of, run
 
-    found = read_cases(folder)
-    todo = jobs_of(found, GapSettings())
+    cases = read_cases(folder)
+    todo = jobs_of(cases, GapSettings())
     with output.progress() as progress, staged(None):
         answers = run(todo, jobs=workers.count, again=again, progress=progress)
     failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
@@ -129,9 +129,9 @@ def score_command(
     from torchid_bench.withheld.case_set import keys_beside, read_answers, read_cases, read_keys
     from torchid_bench.withheld.score import require_answers, summary
 
-    found = read_cases(folder)
-    opened = read_keys(found, keys_beside(folder) if keys is None else keys)
-    answers = read_answers(found)
-    require_answers(found, answers, partial=partial)
-    result = summary(found, opened, answers)
+    cases = read_cases(folder)
+    opened = read_keys(cases, keys_beside(folder) if keys is None else keys)
+    answers = read_answers(cases)
+    require_answers(cases, answers, partial=partial)
+    result = summary(cases, opened, answers)
     output.give(result, "score.json", report_of_summary)

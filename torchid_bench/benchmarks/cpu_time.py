@@ -10,8 +10,8 @@ _TICK = os.sysconf("SC_CLK_TCK")
 
 
 def processor_time() -> float:
-    """Of this process and its descendants [s], which wait for more work when a run is over. Linux
-    only."""
+    """CPU seconds of this process and its descendants, which wait for more work when a run is over.
+    Linux only."""
     stats = {}
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():

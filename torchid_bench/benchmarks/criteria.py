@@ -32,10 +32,10 @@ def answer_all(
     from torchid_bench.withheld.case_set import keys_beside, read_cases, read_keys
     from torchid_bench.withheld.run import job_of, run
 
-    found = read_cases(cases)
+    case_set = read_cases(cases)
     folder.mkdir(parents=True, exist_ok=True)
-    jobs = [job_of(found, case, folder / f"{case}.json") for case in found.ids[:count]]
-    return figures(read_keys(found, keys_beside(cases))[:count], run(jobs, again=True))
+    jobs = [job_of(case_set, case, folder / f"{case}.json") for case in case_set.ids[:count]]
+    return figures(read_keys(case_set, keys_beside(cases))[:count], run(jobs, again=True))
 
 
 def _changed(value: float, factor: float) -> float:
@@ -96,12 +96,12 @@ def main(
     asked = numbers or [name for name in vars(criteria) if name.isupper()]
     variants = {"none-1": ("none", 1.0)} | {f"{n}-{f:g}": (n, f) for n in asked for f in FACTORS}
     todo = {name: (cases, *of, count, beside / name) for name, of in variants.items()}
-    found = dict(results(answer_all, todo, jobs=jobs, fresh=True))
+    answers = dict(results(answer_all, todo, jobs=jobs, fresh=True))
 
-    plain = found.pop("none-1")
+    plain = answers.pop("none-1")
     rows = [
-        row(n, getattr(criteria, n), f, found[name], plain)
-        for name, (n, f) in variants.items() if name in found
+        row(n, getattr(criteria, n), f, answers[name], plain)
+        for name, (n, f) in variants.items() if name in answers
     ]  # fmt: skip
     text = (
         f"{plain['count']} cases: right {plain['right']}, alarms {plain['alarms']}, "

@@ -47,24 +47,24 @@ def truth(robot, unit: int, sessions: int) -> dict[str, float]:
     return {name: value * (1 + BETWEEN * float(x[0])) for (name, value), x in pairs}
 
 
-def coverage(found: Fleet, robot, sessions: int, normal: range) -> dict[str, float]:
+def coverage(fleet: Fleet, robot, sessions: int, normal: range) -> dict[str, float]:
     """How often intervals of 95 % hold what was drawn."""
-    names = {n: b for b, n in enumerate(found.base.names) if n in typical(robot)}
-    units = {u.unit: k for k, u in enumerate(found.units)}
+    names = {n: b for b, n in enumerate(fleet.base.names) if n in typical(robot)}
+    units = {u.unit: k for k, u in enumerate(fleet.units)}
     inside = []
     for k in normal:
         true = truth(robot, k, sessions)
         for name, b in names.items():
             column = units[unit_name(k)]
-            off = float(found.pooled.shrunk[b, column]) - true[name]
-            inside.append(abs(off) <= 1.96 * float(found.pooled.shrunk_std[b, column]))
+            off = float(fleet.pooled.shrunk[b, column]) - true[name]
+            inside.append(abs(off) <= 1.96 * float(fleet.pooled.shrunk_std[b, column]))
     spread, means, daily = [], [], []
     for name, b in names.items():
         value = typical(robot)[name]
         for ci, true, out in (
-            (found.pooled.between_ci95, BETWEEN * abs(value), spread),
-            (found.pooled.daily_ci95, DAILY * abs(value), daily),
-            (found.pooled.interval(), value, means),
+            (fleet.pooled.between_ci95, BETWEEN * abs(value), spread),
+            (fleet.pooled.daily_ci95, DAILY * abs(value), daily),
+            (fleet.pooled.interval(), value, means),
         ):
             out.append(float(ci[b, 0]) <= true <= float(ci[b, 1]))
     return {
@@ -106,16 +106,16 @@ def odd(*, units: int = 200, sessions: int = 3, odd_units: int = 12, alike: bool
             few = Plan(odd_units, sessions, between=between, daily=daily, odd=off)
             logs = make(robot, few, folder / f"odd-{size:g}")
             begin = time.process_time()
-            found = fleet_identify(model, [*normal, *logs], store=store)
+            fleet = fleet_identify(model, [*normal, *logs], store=store)
             seconds = time.process_time() - begin
             truly = {unit_name(k) for k in range(odd_units)} if size else set()
-            told = {(o.unit, o.parameter) for o in found.oddities} if size else set()
-            named = sum((unit_name(k), n) in told for k, n in enumerate(chosen))
-            hits, false = len(truly & set(found.odd)), len(set(found.odd) - truly)
+            odd_ones = {(o.unit, o.parameter) for o in fleet.oddities} if size else set()
+            named = sum((unit_name(k), n) in odd_ones for k, n in enumerate(chosen))
+            hits, false = len(truly & set(fleet.odd)), len(set(fleet.odd) - truly)
             rows.append((f"{size:g}", f"{hits} of {len(truly)}", named, false, f"{seconds:.0f}"))
             print(*rows[-1], flush=True)
             if not size and not alike:
-                print(coverage(found, robot, sessions, range(units)), flush=True)
+                print(coverage(fleet, robot, sessions, range(units)), flush=True)
     table(("standard deviations", "found", "by the right name", "false", "CPU s"), rows)
 
 

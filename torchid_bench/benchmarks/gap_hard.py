@@ -11,7 +11,7 @@ same with what the answer cannot separate from it, `small` those that it lists a
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,14 +66,12 @@ class Known(NamedTuple):
     Attributes:
         robot, log: what is diagnosed.
         right: names of its cause.
-        joint: at which it is, from 0; None where the name alone counts.
         words: on its size and place.
     """
 
     robot: Robot
     log: torchid.Log
     right: set[str]
-    joint: int | None
     words: str
 
 
@@ -222,73 +220,27 @@ def case(kind: str, number: int, name: str) -> Known:
     if 0 < over_all < least:
         scale, size = scale * least / over_all, size * least / over_all
     log = noisy.replace(tau=noisy.tau + torch.from_numpy(scale * torque))
-    return Known(robot, log, RIGHT[kind], None, f"{size:.1f} x noise on joint {worst + 1}")
+    return Known(robot, log, RIGHT[kind], f"{size:.1f} x noise on joint {worst + 1}")
 
 
-def asked(
-    make: Callable[[str, int, str], Known], kind: str, number: int, name: str, oracle: bool
-) -> dict[str, Any]:
-    """What is named in a case, and the share that is closed of what a diagnosis closes which is told
-    the cause."""
-    known = make(kind, number, name)
+def asked(kind: str, number: int, name: str) -> dict[str, Any]:
+    """What is named in a case, and the share that is closed."""
+    known = case(kind, number, name)
     begun = time.process_time()
-    found = torchid.diagnose(known.robot, known.log)
+    answer = torchid.diagnose(known.robot, known.log)
     seconds = time.process_time() - begun
-    causes, closed = found.answer.causes, found.how_far.closed or 0.0
-    right = [
-        c.effect in known.right and (known.joint is None or list(c.at) == [known.joint])
-        for c in causes
-    ]
+    causes, closed = answer.answer.causes, answer.how_far.closed or 0.0
+    right = [c.effect in known.right for c in causes]
     covered = bool(causes) and bool(known.right & {causes[0].effect, *causes[0].ambiguous_with})
-    listed = [c.effect for c in found.answer.small]
-    out = {
-        "first": right[:1] == [True],
-        "set": covered,
-        "small": not covered and bool(known.right & set(listed)),
-        "beside": right.count(False),
-        "closed": closed,
-        "seconds": seconds,
-    }
-    if oracle:
-        effect = min(known.right)
-        settings = torchid.GapSettings(
-            effects=(effect,), only=((effect, known.joint),), parameters="trusted", max_effects=1
-        )
-        best = torchid.diagnose(known.robot, known.log, settings=settings).how_far.closed or 0.0
-        out["of_oracle"] = round(closed / best, 3) if best > 0 else None
+    listed = [c.effect for c in answer.answer.small]
     said = ", ".join(f"{c.effect}{[j + 1 for j in c.at]}" for c in causes)
-    far = f"closed {closed:.2f}" + (f", {out['of_oracle']} of the oracle's" if oracle else "")
     small = f"small: {', '.join(listed)}"
-    print(f"  {kind} {number}: {known.words}: {found.status}; {said}; {small}; {far}", flush=True)
-    return out
-
-
-def scored(
-    make: Callable[[str, int, str], Known],
-    kinds: Sequence[str],
-    cases: int,
-    first: int,
-    robot: str,
-    oracle: bool,
-    out: Path | None,
-    jobs: int,
-) -> None:
-    """Ask about so many cases of each class, and print a line a class."""
-    rows = []
-    for kind in kinds:
-        numbers, of = range(first, first + cases), digest(robot, oracle)
-        todo = {f"{kind}-{k}-{of}": (make, kind, k, robot, oracle) for k in numbers}
-        found = [one for _, one in results(asked, todo, out, jobs=jobs)]
-        hits = (f"{sum(one[key] for one in found)} of {cases}" for key in ("first", "set", "small"))
-        beside, seconds = (sum(x[key] for x in found) / cases for key in ("beside", "seconds"))
-        shares = [float(np.median([one["closed"] for one in found]))]
-        if oracle:
-            of_oracle = [one["of_oracle"] for one in found]
-            shares.append(float(np.nanmedian([np.nan if x is None else x for x in of_oracle])))
-        ratios = (f"{x:.2f}" for x in shares)
-        rows.append((kind, *hits, f"{beside:.1f}", f"{seconds:.1f}", *ratios))
-    heads = "class", "first", "in the set", "listed as small", "other names a case", "CPU s a case"
-    table((*heads, "closed", *(["of the oracle's"] if oracle else ())), rows)
+    print(f"  {kind} {number}: {known.words}: {answer.status}; {said}; {small}; {closed:.2f}")
+    return {
+        "first": right[:1] == [True], "set": covered,
+        "small": not covered and bool(known.right & set(listed)), "beside": right.count(False),
+        "closed": closed, "seconds": seconds,
+    }  # fmt: skip
 
 
 def main(
@@ -300,8 +252,21 @@ def main(
     out: Path | None = None,
     jobs: int = 1,
 ) -> None:
-    """Cases of every class; answers are kept in the folder `out`."""
-    scored(case, kinds, cases, first, robot, False, out, jobs)
+    """Ask about so many cases of each class, and print a line a class; answers are kept in the
+    folder `out`."""
+    rows = []
+    for kind in kinds:
+        numbers = range(first, first + cases)
+        todo = {f"{kind}-{k}-{digest(robot)}": (kind, k, robot) for k in numbers}
+        answers = [one for _, one in results(asked, todo, out, jobs=jobs)]
+        hits = (
+            f"{sum(one[key] for one in answers)} of {cases}" for key in ("first", "set", "small")
+        )
+        beside, seconds = (sum(x[key] for x in answers) / cases for key in ("beside", "seconds"))
+        closed = float(np.median([one["closed"] for one in answers]))
+        rows.append((kind, *hits, f"{beside:.1f}", f"{seconds:.1f}", f"{closed:.2f}"))
+    heads = "class", "first", "in the set", "listed as small", "other names a case", "CPU s a case"
+    table((*heads, "closed"), rows)
 
 
 if __name__ == "__main__":

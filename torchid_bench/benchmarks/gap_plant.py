@@ -238,10 +238,10 @@ def plant(
         sized = _sized(scene, name, g, place if joint is None else joint)
         if sized is None:
             continue
-        found = _scaled(scene, sized, drawn_for)
-        off = abs(math.log(found.size / drawn_for))
+        scaled = _scaled(scene, sized, drawn_for)
+        off = abs(math.log(scaled.size / drawn_for))
         if best is None or off < best[0]:
-            best = off, sized, found
+            best = off, sized, scaled
         if off < 0.1:
             break
     if best is None:
@@ -321,10 +321,10 @@ def _shapes(
 
 def _friction_of(scene: Scene, joint: int) -> tuple[float, float]:
     """Nominal viscous and Coulomb friction of a joint."""
-    found = {
+    sizes = {
         (e.name, e.joints[0]): v[0] for e, v in nominal_effects(scene.robot) if len(e.joints) == 1
     }
-    return found.get(("viscous_friction", joint), 0.0), found.get(("coulomb_friction", joint), 0.0)
+    return sizes.get(("viscous_friction", joint), 0.0), sizes.get(("coulomb_friction", joint), 0.0)
 
 
 def _power_law(scene: Scene, g: torch.Generator, joint: int) -> Sized | None:

@@ -81,10 +81,10 @@ def answer(robot: Robot, log: Log, settings: GapSettings) -> dict[str, Any]:
     """The diagnosis' JSON, with its CPU seconds; of what was refused or failed, the error."""
     started = time.process_time()
     try:
-        found = diagnose_torque(robot, log, settings=settings).plain()
+        answered = diagnose_torque(robot, log, settings=settings).plain()
     except Exception as error:  # one case must not end a night's run
-        found = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
-    return {**found, "seconds": time.process_time() - started}
+        answered = {"status": "error", "which": [], "error": f"{type(error).__name__}: {error}"}
+    return {**answered, "seconds": time.process_time() - started}
 
 
 Answer = Callable[[Robot, Log, GapSettings], dict[str, Any]]
@@ -131,8 +131,8 @@ def modelled(
     folder.mkdir(parents=True, exist_ok=True)
     model = (plants or work) / label / "model.yaml"
     if not model.exists():
-        found = diagnose_torque(rigid, first, settings=settings_of(source, background=FRICTION))
-        write_robot(found.corrected, model)
+        diagnosis = diagnose_torque(rigid, first, settings=settings_of(source, background=FRICTION))
+        write_robot(diagnosis.corrected, model)
     robot = load_robot(str(model))
     empty = folder / "none.json"
     if not empty.exists():
@@ -224,11 +224,11 @@ def asked(
     source = SOURCES[label]
     robot, second, _ = modelled(label, source, data, work, answer, plants)
     case = Case.read(plants / label / f"{name}.npz")
-    found = answer(robot, case.log(second), settings_of(source))
-    names = [(w["effect"], w["joints"]) for w in found["which"]]
+    answered = answer(robot, case.log(second), settings_of(source))
+    names = [(w["effect"], w["joints"]) for w in answered["which"]]
     size = f"{case.key['size']:.1f}"
-    print(label, name, case.key["joint"] + 1, size, found["status"], names, flush=True)
-    return {"planted": case.key, "answer": found}
+    print(label, name, case.key["joint"] + 1, size, answered["status"], names, flush=True)
+    return {"planted": case.key, "answer": answered}
 
 
 def with_late_velocities(log: Log, lag: float) -> Log:
@@ -289,7 +289,7 @@ def scored(work: Path, names: Sequence[str], sizes: Sequence[float]) -> None:
 
 
 def row(name: str, counts: Counter[str]) -> tuple[str, ...]:
-    """Of the table."""
+    """A row of the table: name, then counts of cases."""
     of = "{} of {}".format
     return (
         name,
@@ -336,7 +336,7 @@ def identity(claim: dict[str, Any]) -> tuple[str, ...]:
 
 
 class Verdict(NamedTuple):
-    """Of an answer.
+    """How right an answer is.
 
     Attributes:
         first: whether the first new name is right, or a name that was there before.

@@ -39,10 +39,10 @@ def run(line: Line, data: Path, background: tuple[str, ...]) -> Diagnosis:
     return diagnose_torque(robot, read(data, line.logs), held_out=kept, settings=settings)
 
 
-def errors(found: Diagnosis, line: Line, which: str) -> str:
+def errors(diagnosis: Diagnosis, line: Line, which: str) -> str:
     """100 ||e|| / ||tau|| per joint."""
-    error, torque = torch.zeros(found.robot.n), torch.zeros(found.robot.n)
-    for trace in found.traces:
+    error, torque = torch.zeros(diagnosis.robot.n), torch.zeros(diagnosis.robot.n)
+    for trace in diagnosis.traces:
         low = ZeroPhaseFilter(trace.rate, line.cutoff) if line.cutoff < 0.45 * trace.rate else None
         measured, predicted = (
             x if low is None else low.apply(x.T).T for x in (trace.measured, getattr(trace, which))
@@ -56,17 +56,17 @@ def errors(found: Diagnosis, line: Line, which: str) -> str:
     return " ".join(f"{100 * float(x):.1f}" for x in (error / torque).sqrt())
 
 
-def show(line: Line, found: Diagnosis, start: str, seconds: float) -> None:
+def show(line: Line, diagnosis: Diagnosis, start: str, seconds: float) -> None:
     """What is left before and after, and the causes."""
-    print(f"\n## {line.label}, from {start} ({found.status}, {seconds:.0f} s)")
-    both = errors(found, line, "before"), errors(found, line, "after")
+    print(f"\n## {line.label}, from {start} ({diagnosis.status}, {seconds:.0f} s)")
+    both = errors(diagnosis, line, "before"), errors(diagnosis, line, "after")
     table(("before", "after", "to reach"), [(*both, line.gap)])
     rows = [
         (
             f.name, " ".join(str(j + 1) for j in f.joints), ", ".join(f.ambiguous_with),
             ", ".join(s.named for s in f.sizes), f"{100 * f.share:.1f} %",
         )
-        for f in found.answer.causes
+        for f in diagnosis.answer.causes
     ]  # fmt: skip
     table(("effect", "joints", "cannot be told from", "coefficients", "share"), rows)
 
@@ -83,8 +83,8 @@ def main(
         for words, background in starts.items():
             if start == "both" or (start == "friction") == bool(background):
                 begin = time.perf_counter()
-                found = run(LINES[name], data, background)
-                show(LINES[name], found, words, time.perf_counter() - begin)
+                diagnosis = run(LINES[name], data, background)
+                show(LINES[name], diagnosis, words, time.perf_counter() - begin)
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def measure(seconds: float, joints: int) -> dict[str, Any]:
         spent[last[0]] += now - last[1]
         last = (stage, now)
 
-    found = diagnose_torque(robot, log, pace=Pace(progress, STAGES))
+    diagnosis = diagnose_torque(robot, log, pace=Pace(progress, STAGES))
     progress("", 0, 0)
     del spent[""]
     return {
@@ -105,8 +105,8 @@ def measure(seconds: float, joints: int) -> dict[str, Any]:
         "stages_s": dict(spent),
         "peak_mb": peak_megabytes(),
         "peak_before_mb": before,
-        "status": found.status,
-        "findings": [f"{cause.name} {cause.place}".rstrip() for cause in found.which],
+        "status": diagnosis.status,
+        "findings": [f"{cause.name} {cause.place}".rstrip() for cause in diagnosis.which],
     }
 
 
@@ -120,12 +120,12 @@ def main(
     print(machine())
     rows = []
     cases = {f"{s:g} s, {n} joints": (s, n) for n in joints for s in seconds}
-    for name, found in results(measure, cases, out, fresh=True):
-        stages = sorted(found["stages_s"].items(), key=lambda item: -item[1])
+    for name, measured in results(measure, cases, out, fresh=True):
+        stages = sorted(measured["stages_s"].items(), key=lambda item: -item[1])
         rows.append(
             (
-                name, found["samples"], f"{found['diagnosis_s']:.1f}", f"{found['cpu_s']:.1f}",
-                f"{found['peak_mb']:.0f}", f"{found['peak_before_mb']:.0f}", found["status"], ", ".join(found["findings"]),
+                name, measured["samples"], f"{measured['diagnosis_s']:.1f}", f"{measured['cpu_s']:.1f}",
+                f"{measured['peak_mb']:.0f}", f"{measured['peak_before_mb']:.0f}", measured["status"], ", ".join(measured["findings"]),
                 ", ".join(f"{stage} {spent:.1f}" for stage, spent in stages[:5]),
             )
         )  # fmt: skip

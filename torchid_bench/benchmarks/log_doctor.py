@@ -33,7 +33,7 @@ LEFT_OUT = ("jointwise", "5periods")
 
 def of_folder(folder: Path) -> dict[str, tuple[Robot, Log]]:
     """The arms' logs with torques, by name."""
-    found = {}
+    logs = {}
     for path in sorted(folder.glob("*/*.parquet")):
         if any(word in path.stem for word in LEFT_OUT):
             continue
@@ -42,20 +42,20 @@ def of_folder(folder: Path) -> dict[str, tuple[Robot, Log]]:
         if log.tau is None:
             # Without the currents: a fault is planted in the torque alone.
             log = log.with_torque(torch.tensor(UR10E_GAINS)).replace(current=None)
-        found[f"{path.parent.name}/{path.stem}"] = robot, log
-    return found
+        logs[f"{path.parent.name}/{path.stem}"] = robot, log
+    return logs
 
 
 def made(arms: tuple[str, ...], seeds: int) -> dict[str, tuple[Robot, Log]]:
     """Clean logs of built-in arms, every second one described with nominal parameters."""
-    found = {}
+    logs = {}
     for name in arms:
         for seed in range(seeds):
             for gears in (False, True):
                 nominal = (seed + gears) % 2 == 1
                 robot, log = clean(name, seed, nominal=nominal, gears=gears)
-                found[str(log.source)] = robot, log
-    return found
+                logs[str(log.source)] = robot, log
+    return logs
 
 
 def main(
@@ -71,41 +71,41 @@ def main(
         print("give either FOLDER or --arms")
         return 2
     every = made(arms, seeds) if folder is None else of_folder(folder)
-    found = {k: v for k, v in every.items() if logs in k}
-    lags, rows = _clean_ones(found), []
+    chosen = {k: v for k, v in every.items() if logs in k}
+    lags, rows = _clean_ones(chosen), []
     for fault, plant in FAULTS.items():
         if any(word in fault for word in only):
-            rows += _planted_ones(fault, plant, found, lags, 1 if arms else seeds)
+            rows += _planted_ones(fault, plant, chosen, lags, 1 if arms else seeds)
     said = ("fault", "planted", "found", "another said, too")
     table((*said, "log mended", "undecided", "made worse"), rows)
     return None
 
 
-def _clean_ones(found: dict[str, tuple[Robot, Log]]) -> dict[str, float]:
+def _clean_ones(logs: dict[str, tuple[Robot, Log]]) -> dict[str, float]:
     """A line for each log, and how late its torque is as it stands [s]."""
     alarms, start, lags = 0, time.process_time(), {}
-    for name, (robot, log) in found.items():
+    for name, (robot, log) in logs.items():
         result = examine(robot, log)
         lags[name] = next((c.estimate or 0.0 for c in result.checks if c.name == "lag"), 0.0)
         said = [f"{c.name} ({c.verdict})" for c in _alarms(result)]
         alarms += bool(said)
         print(f"clean {name}: {', '.join(said) or 'silent'}", flush=True)
-    took = (time.process_time() - start) / max(1, len(found))
-    print(f"clean logs with an alarm: {alarms} of {len(found)}, {took:.1f} s of CPU a log\n")
+    took = (time.process_time() - start) / max(1, len(logs))
+    print(f"clean logs with an alarm: {alarms} of {len(logs)}, {took:.1f} s of CPU a log\n")
     return lags
 
 
 def _planted_ones(
     fault: str,
     plant: Fault,
-    found: dict[str, tuple[Robot, Log]],
+    logs: dict[str, tuple[Robot, Log]],
     lags: dict[str, float],
     seeds: int,
 ) -> list[tuple[object, ...]]:
     """The row of the table, where the fault can be; printed is what was not found or was said
     besides."""
     hits, others, mended = [], [], Counter()
-    for (name, (robot, log)), seed in itertools.product(found.items(), range(seeds)):
+    for (name, (robot, log)), seed in itertools.product(logs.items(), range(seeds)):
         planted = plant(robot, log, np.random.default_rng([seed, zlib.crc32(name.encode())]))
         if planted is None:
             continue

@@ -37,7 +37,7 @@ class Planted:
         return any(self._names(c) for c in checks if c.verdict in ("wrong", "doubtful"))
 
     def on_top_of(self, size: float) -> "Planted":
-        """The same, planted in a log that has some of it already."""
+        """The fault planted in a log that has some of it already."""
         assert self.estimate is not None
         whole = self.estimate + size
         return replace(self, estimate=whole, tolerance=self.tolerance * abs(self.estimate / whole))

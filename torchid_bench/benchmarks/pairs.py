@@ -350,11 +350,11 @@ def judged(pair: Pair) -> dict:
     from torchid.pair.pair import compare_pair
 
     began = time.monotonic()
-    found = compare_pair(pair.simulated, pair.real, pair.robot)
-    names = [(x.fault, [j + 1 for j in x.joints]) for x in found.faults]
+    diagnosis = compare_pair(pair.simulated, pair.real, pair.robot)
+    names = [(x.fault, [j + 1 for j in x.joints]) for x in diagnosis.faults]
     effects = [
         (x.effect, [j + 1 for j in x.joints], x.more, round(x.share, 2), list(x.ambiguous_with))
-        for x in found.which
+        for x in diagnosis.which
     ]
     if pair.kind == "equal":
         right = not names and not effects
@@ -379,12 +379,12 @@ def judged(pair: Pair) -> dict:
 def one(seed: int, number: int, equal: bool) -> dict:
     """A pair and what is said of it; an error is no right name."""
     try:
-        found = judged(drawn(seed, number, equal))
+        row = judged(drawn(seed, number, equal))
     except Exception as error:  # one pair must not end a night's run
         kind = "equal" if equal else "?"
-        found = {"kind": kind, "right": False, "error": f"{type(error).__name__}: {error}"}
-    print(number, json.dumps(found), flush=True)
-    return {"number": number, **found}
+        row = {"kind": kind, "right": False, "error": f"{type(error).__name__}: {error}"}
+    print(number, json.dumps(row), flush=True)
+    return {"number": number, **row}
 
 
 def main(
@@ -406,8 +406,8 @@ def main(
         for k in own
     }
     right: dict[bool, list[bool]] = {False: [], True: []}
-    for _, found in results(one, cases, out, jobs=jobs):
-        right[found["kind"] == "equal"].append(found["right"])
+    for _, row in results(one, cases, out, jobs=jobs):
+        right[row["kind"] == "equal"].append(row["right"])
     rows = [(name, share(sum(right[k]), len(right[k]))) for k, name in KINDS.items()]
     table(("pairs", "right"), rows)
 

@@ -172,7 +172,7 @@ def pair(cell: tuple[float, int, str], name: str, seed: int, cutoff: float | str
            "well": well, "slow": slow, "sag": sag is not None, "model": model, "mass": mass,
            "oracle": oracle(nominal, empty, loaded), "error": ""}  # fmt: skip
     try:
-        found = torchid.payload(
+        load = torchid.payload(
             nominal, empty.log, loaded.log, model=model,
             settings=torchid.Settings(rows="moving", cutoff=cutoff),
         )  # fmt: skip
@@ -180,7 +180,7 @@ def pair(cell: tuple[float, int, str], name: str, seed: int, cutoff: float | str
         return out | {"error": str(error).splitlines()[0]}
     except Exception as fault:
         return out | {"error": f"FAULT {fault!r}"}
-    parts = (found.tool.mass, found.tool.com, found.tool.inertia_about_com, found.tool.parameters)
+    parts = (load.tool.mass, load.tool.com, load.tool.inertia_about_com, load.tool.parameters)
     value, low, high = (
         torch.cat([getattr(x, end) for x in parts]) for end in ("value", "low", "high")
     )
@@ -188,7 +188,7 @@ def pair(cell: tuple[float, int, str], name: str, seed: int, cutoff: float | str
     if model == "point_mass":
         known[4:] = False
     hit = (low <= true) & (true <= high)
-    return out | {"known": known.tolist(), "hit": hit.tolist(), "seen": found.seen,
+    return out | {"known": known.tolist(), "hit": hit.tolist(), "seen": load.seen,
                   "value": value[:4].tolist(), "low": low[:4].tolist(),
                   "high": high[:4].tolist()}  # fmt: skip
 
@@ -205,7 +205,7 @@ def held(rows: list[dict], part: slice) -> tuple[int, int, int]:
 
 
 def line(name: str, rows: list[dict]) -> tuple[object, ...]:
-    """Of the table."""
+    """A row of the table: name, then how often intervals hold the truth, and how wide they are."""
     done = [r for r in rows if not r["error"]]
     counts = [held(done, part) for part in GROUPS.values()]
     cells = [f"{percent(hits, known)} of {known}/{every}" for hits, known, every in counts]

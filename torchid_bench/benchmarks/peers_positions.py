@@ -1,8 +1,7 @@
-"""mujoco.sysid itself, on the folds of `position_folds.py` and by its measures.
+"""mujoco.sysid itself, fitted to some motions and judged on others.
 
-    python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... [--folds 5] [--windows 60]
     python -m torchid_bench.benchmarks.peers_positions ROBOT LOG... --held-out OTHER...
-        --corrected FILE
+        [--corrected FILE] [--windows 60]
 
 MuJoCo's own toolbox (`pip install "mujoco[sysid]"`) fits, to windows of 2 s from their measured
 start, of each joint
@@ -49,9 +48,9 @@ from torchid.position.data import WINDOW_S, PositionData, prepare
 from torchid.position.model import ServoArm
 from torchid.position.problem import some_of
 from torchid.position.replay import replay
+from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import windows_of
-from torchid_bench.benchmarks.position_errors import HEADS, read_folds, row
 from torchid_bench.benchmarks.runner import command, table
 from torchid_bench.benchmarks.sysid_toolbox import sysid_toolbox
 
@@ -77,6 +76,8 @@ DELAY_S, LATEST_S = 0.04, 0.15
 SCALES = (0.8, 1.2)
 JUDGED = (None, WINDOW_S, PROMISED_S)
 """Whole motions, and windows [s]."""
+HEADS = ("model", "windows", "all rows, joint by joint [mrad]", "mean", "each", "mean of each",
+         "median of each", "CPU s")  # fmt: skip
 FIRM = [0.9999, 0.9999, 0.001, 0.5, 2]
 """`solimpfriction` with which a joint that is stuck stays there."""
 
@@ -154,7 +155,8 @@ def parameters(names: Sequence[str], fitted: Sequence[str]) -> Any:
 
 
 def value(params: Any, joint: str, what: str, without: float) -> float:
-    """Of a joint, else of all joints, else what stands for a parameter that is not fitted."""
+    """Value of a joint's parameter, else of all joints', else what stands for one that is not
+    fitted."""
     for name in (f"{joint} {what}", what):
         if name in params:
             return float(params[name].value[0])
@@ -280,46 +282,31 @@ def main(
     robot: str,
     logs: Sequence[Path],
     *,
-    folds: int = 5,
-    only: Sequence[int] = (),
-    held_out: Sequence[Path] = (),
+    held_out: Sequence[Path],
     windows: int = 60,
     fitted: tuple[str, ...] = tuple(FITTED),
     friction: tuple[str, ...] = ("default", "firm"),
     corrected: str | None = None,
 ) -> None:
-    """Fit folds, or these alone; or all logs, judged by others, with torchid's model of them."""
-    arm, parts, places = read_folds(robot, logs, folds)
-    taken = only or range(folds)
-    if held_out:
-        others = read_log(list(held_out)).trajectories()
-        places, parts, taken = [1] * len(parts) + [0] * len(others), [*parts, *others], [0]
-    found, rows = dict[tuple[str, str, int], Any](), []
+    """Fit logs, judge by others, and torchid's model of the logs, too."""
+    arm, log = load_robot(robot), read_log(list(logs))
+    others = list(read_log(list(held_out)).trajectories())
+    training, kept = prepare(arm, log), prepare(arm, Log.concatenate(others))
+    with_offset, rows = dict[str, Any](), []
     for hold, which in product(friction, fitted):
-        squares, begun = {seconds: list[Tensor]() for seconds in JUDGED}, time.process_time()
-        judging = 0.0
-        for fold in taken:
-            sides = [
-                [p for p, f in zip(parts, places, strict=True) if (f == fold) == k] for k in (0, 1)
-            ]
-            training, kept = (prepare(arm, Log.concatenate(some)) for some in sides)
-            spec, best = fit(
-                arm, training, FITTED[which], windows, firm=hold == "firm",
-                start=found.get((hold, "offset", fold)) if which == "all" else None,
-            )  # fmt: skip
-            found[hold, which, fold] = best
-            paused = time.process_time()
-            for seconds, own in squares.items():
-                for chunk in chunks_of(kept, seconds):
-                    error = residual(spec, kept, [chunk])(best.as_vector(), best)[0][0]
-                    radians = torch.from_numpy(error.reshape(-1, arm.n)) / kept.scale
-                    own.append(torch.cat([torch.zeros(1, arm.n), radians]).square())
-            judging += time.process_time() - paused
-        busy = (time.process_time() - begun - judging) / len(taken)
+        begun, start = time.process_time(), with_offset.get(hold) if which == "all" else None
+        spec, best = fit(arm, training, FITTED[which], windows, firm=hold == "firm", start=start)
+        busy, squares = time.process_time() - begun, {x: list[Tensor]() for x in JUDGED}
+        if which == "offset":
+            with_offset[hold] = best
+        for seconds, own in squares.items():
+            for chunk in chunks_of(kept, seconds):
+                error = residual(spec, kept, [chunk])(best.as_vector(), best)[0][0]
+                radians = torch.from_numpy(error.reshape(-1, arm.n)) / kept.scale
+                own.append(torch.cat([torch.zeros(1, arm.n), radians]).square())
         rows += rows_of(f"{hold} {which}", squares, busy)
-    if held_out and corrected:
-        log = Log.concatenate([p for p, f in zip(parts, places, strict=True) if f])
-        rows += ours(corrected, log, [p for p, f in zip(parts, places, strict=True) if not f])
+    if corrected:
+        rows += ours(corrected, log, others)
     table(HEADS, rows)
 
 
@@ -360,6 +347,27 @@ def ours(corrected: str, log: Log, others: Sequence[Log]) -> list[tuple[str, ...
             engine.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
             judged(f"{name}, contact off", 0.0, in_mujoco)
     return out
+
+
+def row(
+    name: str, seconds: float | None, squares: Sequence[Tensor], busy: float, each: str = "motions"
+) -> tuple[str, ...]:
+    """A row of the table: RMS of all rows, joint by joint, and over motions.
+
+    Args:
+        name: of what is judged.
+        seconds: of windows; None: whole motions.
+        squares: errors (T, n) of each motion or window [rad^2].
+        busy: CPU time [s].
+        each: what `squares` are of.
+    """
+    together = 1e3 * torch.cat(list(squares)).mean(0).sqrt()
+    rms = 1e3 * torch.stack([s.mean(0).sqrt() for s in squares]).mean(1)
+    numbers = together.mean(), rms.mean(), rms.median()
+    mean, own, middle = (f"{float(x):.2f}" for x in numbers)
+    joints = " ".join(f"{v:.1f}" for v in together.tolist())
+    window = "whole" if seconds is None else f"{seconds:g} s"
+    return name, window, joints, mean, each, own, middle, f"{busy:.0f}"
 
 
 def rows_of(

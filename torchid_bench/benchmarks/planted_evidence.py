@@ -68,7 +68,7 @@ class Terms:
         return np.stack([x @ x.transpose(0, 2, 1) for x in parts])
 
     def with_(self, more: np.ndarray) -> "Terms":
-        """The same and more columns."""
+        """These terms and more columns."""
         return Terms(self.gap, np.concatenate([self.columns, more]))
 
     def fit(self, effective: np.ndarray) -> Fit:

@@ -136,17 +136,17 @@ def finer(half: Half, c: Candidate, values: np.ndarray, level: int) -> list[Cand
 
 
 def refined(
-    half: Half, base: Terms, found: tuple[Candidate, np.ndarray], effective: np.ndarray
+    half: Half, base: Terms, pair: tuple[Candidate, np.ndarray], effective: np.ndarray
 ) -> tuple[Candidate, np.ndarray]:
     """The likeliest of a candidate's shapes."""
     for level in range(2):
-        near = finer(half, *found, level)
-        first = ranked(half, base, [found[0], *near], effective)[:1] if near else []
+        near = finer(half, *pair, level)
+        first = ranked(half, base, [pair[0], *near], effective)[:1] if near else []
         better = [p for c in first if (p := possible(half, base, c, effective)) is not None]
-        if not better or better[0][0] is found[0]:
+        if not better or better[0][0] is pair[0]:
             break
-        found = better[0]
-    return found
+        pair = better[0]
+    return pair
 
 
 def already_there(half: Half, offered: Sequence[Candidate]) -> list[Candidate]:
@@ -242,8 +242,8 @@ def classified(known: Known, case: Case, log: Log, cutoff: float | None) -> dict
 
 
 def class_of(share: float, nothing: float, rival: float) -> str:
-    """Of a case whose torque is such a share of its joint's, so many nats over nothing and over the
-    best rival."""
+    """Class of a case whose torque is such a share of its joint's, so many nats over nothing and
+    over the best rival."""
     # 0.01: share of a joint's torque below which no cause is worth a name
     if share < 0.01:
         return "below"
@@ -294,11 +294,11 @@ def main(
         print(label, "there:", document["there"][label], flush=True)
         for case in (Case.read(folder / f"{name}.npz") for name in asked):
             started = time.process_time()
-            found = classified(known, case, case.log(second), source.cutoff)
+            row = classified(known, case, case.log(second), source.cutoff)
             # Written at once: a night's run may be interrupted.
-            document["cases"][names[case.name]] = found
+            document["cases"][names[case.name]] = row
             keep(document)
-            print(label, case.name, found, f"{time.process_time() - started:.1f} s", flush=True)
+            print(label, case.name, row, f"{time.process_time() - started:.1f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def drawn(seed: int) -> tuple[Robot, Robot, list[tuple[str, str, float]], Log]:
 
 
 def covered(seed: int, level: float) -> tuple[list[bool], list[bool], float]:
-    """Of the planted coefficients and of the base parameters, whether the ranges hold them."""
+    """Whether the ranges hold each planted coefficient, and each base parameter; and seconds."""
     robot, arm, truth, log = drawn(seed)
     settings = GapSettings(effects=SEARCHED, seed=seed)
     started = time.perf_counter()
@@ -103,12 +103,12 @@ def covered(seed: int, level: float) -> tuple[list[bool], list[bool], float]:
     return held, ((low_ <= true) & (true <= high_))[asked].tolist(), seconds
 
 
-def band(wide: Randomisation, found: Diagnosis, log: Log, models: int = 64) -> Tensor:
+def band(wide: Randomisation, diagnosis: Diagnosis, log: Log, models: int = 64) -> Tensor:
     """(n,) share [%] of a held-out log's torque between the quantiles of the draws' torque with
     what the model left of the log that was fitted, while the joint moves."""
-    judged = prepare(wide.robot, log, found.cutoff, found.band, found.band)
+    judged = prepare(wide.robot, log, diagnosis.cutoff, diagnosis.band, diagnosis.band)
     every = [
-        traces(judged.samples, None, [model], [model], found.band)
+        traces(judged.samples, None, [model], [model], diagnosis.band)
         for k in range(0, len(wide), max(1, len(wide) // models))
         for model in [Model.of(wide.one(k))]
     ]
@@ -117,7 +117,7 @@ def band(wide: Randomisation, found: Diagnosis, log: Log, models: int = 64) -> T
     tails = torch.tensor([(1 - wide.level) / 2, (1 + wide.level) / 2], dtype=torch.float64)
     for parts in zip(*every, strict=True):
         torque = torch.stack([t.after for t in parts])
-        for one in found.residual:
+        for one in diagnosis.residual:
             # What was left, of either sign, by its own quantiles.
             part = 2 * torch.rand(torque.shape[:2], generator=g, dtype=torch.float64) - 1
             levels = np.array([0.0, *one.levels])
@@ -139,9 +139,9 @@ def logs(data: Path, *, level: float = 0.95) -> None:
         else:
             apart = read(data, (line.held_out,))
         started = time.perf_counter()
-        found = diagnose_torque(arm, log)
-        wide = randomise(found.record, level)
-        shares = band(wide, found, apart)
+        diagnosis = diagnose_torque(arm, log)
+        wide = randomise(diagnosis.record, level)
+        shares = band(wide, diagnosis, apart)
         each = " ".join(f"{x:.1f}" for x in shares.tolist())
         took = time.perf_counter() - started
         print(

@@ -237,8 +237,8 @@ def evolution() -> Iterator[Line]:
         for _ in range(generations):
             asked = [strategy.ask() for strategy in peers]
             values = sphere(torch.as_tensor(np.asarray(asked))).numpy()
-            for strategy, points, told in zip(peers, asked, values, strict=True):
-                strategy.tell(points, told)
+            for strategy, points, losses in zip(peers, asked, values, strict=True):
+                strategy.tell(points, losses)
 
     def ours(generations: int) -> None:
         nonlocal state
@@ -373,11 +373,11 @@ def diagnosis(folder: Path) -> Iterator[Line]:
     yield name, minimal, 1, lambda: diagnose(robot, read_log(file)), 1
 
 
-def slower(found: dict[str, float], committed: dict[str, float]) -> list[str]:
+def slower(ratios: dict[str, float], committed: dict[str, float]) -> list[str]:
     """Sentences on the ratios that have fallen."""
     return [
         f"slower: {name}: {ratio:.2f}, and {committed[name]:.2f} before"
-        for name, ratio in found.items()
+        for name, ratio in ratios.items()
         if ratio < SLOWER * committed.get(name, 0.0)
     ]
 
@@ -389,7 +389,7 @@ def main(*, rounds: int = 9, save: bool = False) -> None:
     print(
         f"microseconds of processor time, medians of up to {rounds} alternated rounds", flush=True
     )
-    found, rows = {}, []
+    ratios, rows = {}, []
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         every = (
@@ -400,7 +400,7 @@ def main(*, rounds: int = 9, save: bool = False) -> None:
             try:
                 for line in some:
                     peer, ours, times = ratio(line, rounds)
-                    found[line[0]] = float(f"{times:.3g}")
+                    ratios[line[0]] = float(f"{times:.3g}")
                     before = committed.get(line[0], "")
                     rows.append((line[0], f"{peer:.2f}", f"{ours:.2f}", f"{times:.3g}", before))
                     print(*rows[-1], flush=True)
@@ -408,9 +408,9 @@ def main(*, rounds: int = 9, save: bool = False) -> None:
                 print(f"not installed: {missing}", flush=True)
     table(("", "peer", "torchid", "ratio", "before"), rows)
     if save:
-        COMMITTED.write_text(json.dumps(committed | found, indent=1) + "\n")
+        COMMITTED.write_text(json.dumps(committed | ratios, indent=1) + "\n")
     else:
-        print("\n".join(slower(found, committed)))
+        print("\n".join(slower(ratios, committed)))
 
 
 if __name__ == "__main__":

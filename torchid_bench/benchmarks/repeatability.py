@@ -33,7 +33,6 @@ from torchid.design.motion import measurements
 from torchid.effects.servo import INDEX
 from torchid.log.model import Log
 from torchid.log.readers import read_log
-from torchid.log.sampling import resample
 from torchid.position.data import WINDOW_S, prepare
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.fit import absolute
@@ -57,12 +56,12 @@ Numbers = Mapping[str, tuple[float, float]]
 def of_torchid(robot: str, logs: Sequence[Path]) -> dict[str, Any]:
     """Numbers of servos that a diagnosis finds."""
     begun = time.process_time()
-    found = torchid.diagnose(load_robot(robot), read_log(list(logs)))
-    assert isinstance(found, PositionDiagnosis)
-    values = absolute(found.corrected.servos)
+    diagnosis = torchid.diagnose(load_robot(robot), read_log(list(logs)))
+    assert isinstance(diagnosis, PositionDiagnosis)
+    values = absolute(diagnosis.corrected.servos)
     numbers = {
         f"{name} {known.joint + 1}": (float(values[known.joint, INDEX[name]]), float(deviation))
-        for known in found.known
+        for known in diagnosis.known
         for name, deviation in zip(known.names, known.covariance.diagonal().sqrt(), strict=True)
     }
     return {"numbers": numbers, "seconds": time.process_time() - begun}
@@ -90,9 +89,9 @@ def of_sysid(robot: str, logs: Sequence[Path], windows: int) -> dict[str, Any]:
 def of_identify(robot: str, log: Log) -> dict[str, Any]:
     """Base parameters and friction, by what torchid does without settings."""
     begun = time.process_time()
-    found = torchid.identify(load_robot(robot), log)
-    std = found.covariance.diagonal().sqrt()
-    rows = zip(found.base.names, found.values.tolist(), std.tolist(), found.free, strict=True)
+    model = torchid.identify(load_robot(robot), log)
+    std = model.covariance.diagonal().sqrt()
+    rows = zip(model.base.names, model.values.tolist(), std.tolist(), model.free, strict=True)
     numbers = {name: (value, std) for name, value, std, free in rows if free}
     return {"numbers": numbers, "seconds": time.process_time() - begun}
 
@@ -110,7 +109,7 @@ def of_pinocchio(robot: str, log: Log, kept: Sequence[int] = ()) -> dict[str, An
     begun, arm = time.process_time(), load_robot(robot)
     oracle = PinocchioOracle(arm)
     blocks, torques = [], []
-    for m in measurements(resample(log), CUTOFF):
+    for m in measurements(log.even, CUTOFF):
         inside = slice(m.edge, m.samples - m.edge, max(1, int(m.rate / (2.5 * CUTOFF))))
         motion = [x.numpy()[inside] for x in (m.whole.q, m.whole.dq, m.whole.ddq)]
         for q, dq, ddq in zip(*motion, strict=True):
@@ -175,15 +174,15 @@ def positions(
     parts = [[sorted_logs[i] for i in order[k * motions :][:motions]] for k in range(draws)]
     parts = [part for part in parts if len(part) == motions]
     make = {"torchid": (of_torchid, ()), "sysid": (of_sysid, (windows,))}
-    found = defaultdict[str, list[Mapping[str, Any]]](list)
+    values = defaultdict[str, list[Mapping[str, Any]]](list)
     # Draw by draw, so that what is interrupted has as many of each.
     for part in parts:
         for name in fits:
             function, more = make[name]
             case = (robot, part, *more)
             key = f"{name}_{digest(name, *[p.name for p in part], *more)}"
-            found[name] += [one for _, one in results(function, {key: case}, work)]
-    table(HEAD, [scored(name, own) for name, own in found.items()])
+            values[name] += [one for _, one in results(function, {key: case}, work)]
+    table(HEAD, [scored(name, own) for name, own in values.items()])
 
 
 def torques(
@@ -200,15 +199,15 @@ def torques(
         count = max(1, round(draws * float(one.t[-1] - one.t[0]) / total))
         edges = torch.linspace(float(one.t[0]), float(one.t[-1]), count + 1)
         parts += [one.select((one.t >= a) & (one.t <= b)) for a, b in pairwise(edges)]
-    found = defaultdict[str, list[Mapping[str, Any]]](list)
+    values = defaultdict[str, list[Mapping[str, Any]]](list)
     kept = of_pinocchio(robot, log)["kept"]
     makers = {"torchid": (of_identify, ()), "Pinocchio": (of_pinocchio, (kept,))}
     for name, (function, more) in makers.items():
         cases = {
             f"{name}_{k}_{digest(len(parts))}": (robot, part, *more) for k, part in enumerate(parts)
         }
-        found[name] = [one for _, one in results(function, cases, work)]
-    table(HEAD, [scored(name, own) for name, own in found.items()])
+        values[name] = [one for _, one in results(function, cases, work)]
+    table(HEAD, [scored(name, own) for name, own in values.items()])
 
 
 if __name__ == "__main__":

@@ -114,9 +114,9 @@ def results(
     try:
         futures = {name: pool.submit(_kept, *one) for name, one in todo.items()} if pool else {}
         for name, one in todo.items():
-            found = futures[name].result() if pool else _kept(*one)
-            if found is not None:
-                yield name, found
+            result = futures[name].result() if pool else _kept(*one)
+            if result is not None:
+                yield name, result
     finally:
         if pool:
             pool.shutdown(cancel_futures=True)
@@ -127,11 +127,11 @@ def _kept(function: Callable[..., Any], case: Sequence[Any], file: Path | None) 
     where a run is interrupted."""
     if file is not None and file.exists():
         return json.loads(file.read_text())
-    found = function(*case)
-    failed = isinstance(found, dict) and found.get("error")
-    if file is not None and found is not None and not failed:
-        write_text(file, json.dumps(found, indent=1))
-    return found
+    result = function(*case)
+    failed = isinstance(result, dict) and result.get("error")
+    if file is not None and result is not None and not failed:
+        write_text(file, json.dumps(result, indent=1))
+    return result
 
 
 def digest(*arguments: object) -> str:

@@ -75,10 +75,10 @@ def published(name: str) -> Path:
     import cmeel
 
     share = Path(cmeel.__path__[0]).parent / "cmeel.prefix" / "share" / "example-robot-data"
-    found = sorted((share / "robots").rglob(f"{name}.urdf"))
-    if not found:
+    files = sorted((share / "robots").rglob(f"{name}.urdf"))
+    if not files:
         sys.exit(f"example-robot-data has no {name}.urdf")
-    return found[0]
+    return files[0]
 
 
 def identify(
@@ -107,12 +107,12 @@ def identify(
     log = torchid.Log(t, q, tau=tau + noise)
     names = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     before, begun = time.process_time(), time.perf_counter()
-    found = torchid.identify(arm, log, settings=torchid.Settings(effects=names))
+    model = torchid.identify(arm, log, settings=torchid.Settings(effects=names))
     cpu, wall = time.process_time() - before, time.perf_counter() - begun
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
-    off = (found.values - nominal_values(arm, found.base)) / found.covariance.diagonal().sqrt()
-    held = found.held_out or found.fit
-    print(f"{arm.name}: {arm.n} joints, {len(found.base)} base parameters and coefficients")
+    off = (model.values - nominal_values(arm, model.base)) / model.covariance.diagonal().sqrt()
+    held = model.held_out or model.fit
+    print(f"{arm.name}: {arm.n} joints, {len(model.base)} base parameters and coefficients")
     print(f"{seconds:g} s at {rate:g} Hz: {cpu:.1f} CPU s ({wall:.1f} s), {memory:.2f} GB at most")
     print(
         f"held-out error: {float(held.relative_percent.nanmedian()):.2f} % in the median joint, "
@@ -136,17 +136,17 @@ def arms(*, cases: int = 8, seed: int = 0) -> None:
             robot = torchid.load_robot(place / "robot.urdf")
             log = torchid.read_log(place / "log.parquet")
             before = time.process_time()
-            found = torchid.diagnose(robot, log)
+            diagnosis = torchid.diagnose(robot, log)
             costs.append(time.process_time() - before)
         # Links of bodies, and joints of other causes, by the arm that they are of: 8 joints each.
-        links = [k for one in found.which if one.effect == LINK for k in one.at]
+        links = [k for one in diagnosis.which if one.effect == LINK for k in one.at]
         named = [k // 8 for k in links]
-        beside = [j // 8 for one in found.which if one.effect != LINK for j in one.joints]
+        beside = [j // 8 for one in diagnosis.which if one.effect != LINK for j in one.joints]
         right += bool(named) and named[0] == side
         other += any(k != side for k in [*named, *beside])
         print(
             f"{number}: joint {key['effects'][0]['joints']}, said links "
-            f"{[k + 1 for k in links]}, {found.status}",
+            f"{[k + 1 for k in links]}, {diagnosis.status}",
             flush=True,
         )
     print(

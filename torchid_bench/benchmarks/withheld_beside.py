@@ -61,14 +61,14 @@ def closed_by(answers: Mapping[str, Mapping[str, Any]]) -> dict[str, float | Non
 def _closing(cases: Sequence[Scored], oracle: Mapping[str, float | None]) -> dict[str, Any]:
     """How much of what could be closed is; cases in which the oracle closes next to nothing are
     left out, and counted."""
-    told = [(c, oracle[c.case]) for c in cases if c.case in oracle]
+    known = [(c, oracle[c.case]) for c in cases if c.case in oracle]
     # 0.1: share that the oracle closes, below which a ratio to it says nothing
-    ratios = [c.closed / best for c, best in told if best is not None and best >= 0.1]
+    ratios = [c.closed / best for c, best in known if best is not None and best >= 0.1]
     return {
         "closed": median([c.closed for c in cases]),
-        "oracle": median([best or 0.0 for _, best in told]),
+        "oracle": median([best or 0.0 for _, best in known]),
         "ratio": median(ratios),
-        "oracle_closes_nothing": len(told) - len(ratios),
+        "oracle_closes_nothing": len(known) - len(ratios),
     }
 
 

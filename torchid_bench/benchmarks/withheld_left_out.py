@@ -68,20 +68,20 @@ def main(
         for k in range(per_effect):
             case, number = f"{seed}-{name}-{k + 1}", k * len(AVAILABLE) + AVAILABLE.index(name)
             cases[case] = out / case, name, seed, number
-    found = dict(results(left_out, cases, out, jobs=jobs))
-    judged = [one["verdict"] for one in found.values() if one["verdict"] != ERROR]
+    answers = dict(results(left_out, cases, out, jobs=jobs))
+    judged = [one["verdict"] for one in answers.values() if one["verdict"] != ERROR]
     kinds = get_args(Verdict)
     print("95 % intervals; of another family for sure is `confident_wrong`")
     table(("answer", "cases"), [(v, share(judged.count(v), len(judged))) for v in kinds])
     by = {
-        name: Counter(r["verdict"] for r in found.values() if r["effect"] == name)
+        name: Counter(r["verdict"] for r in answers.values() if r["effect"] == name)
         for name in effects
     }
     table(
         ("left out", *kinds, ERROR), [(n, *(c[v] for v in (*kinds, ERROR))) for n, c in by.items()]
     )
     wrong = [
-        (case, one["verdict"], one["status"], listed(one["named"])) for case, one in found.items()
+        (case, one["verdict"], one["status"], listed(one["named"])) for case, one in answers.items()
         if one["verdict"] in ("confident_wrong", "missed", ERROR)
     ]  # fmt: skip
     table(("case that went wrong", "answer", "status", "named"), wrong)

@@ -66,9 +66,9 @@ def counts_table(first: str, groups: Mapping[str, Mapping[str, int]]) -> str:
 def _by_effect(groups: Mapping[str, Mapping[str, Any]]) -> str:
     keys = ("detected", "top1", "in_set", "family", "exact")
     body = []
-    for name, found in groups.items():
-        size = found["set_size"]
-        cells = [f"{found[k]['hits']}/{found[k]['total']}" for k in keys]
+    for name, group in groups.items():
+        size = group["set_size"]
+        cells = [f"{group[k]['hits']}/{group[k]['total']}" for k in keys]
         body.append([name, *cells, "-" if size is None else f"{size:.1f}"])
     head = ["effect", "detected", "first name", "in set", "family", "nothing else", "set size"]
     return markdown_table(head, body)

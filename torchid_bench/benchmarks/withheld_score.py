@@ -113,8 +113,8 @@ def true_shares(
     lasting = [k["id"] for k in keys if not any(e["name"] in EVENTS for e in k["effects"])]
     far = {case: answers.get(case, {}).get("how_far") or {} for case in lasting}
     wanted = dict.fromkeys(case for case in lasting if far[case].get("closed_ci95") is not None)
-    found = _beside("truth", cases, wanted, partial(truth_case, cases), jobs)
-    return {case: float(f["closed"]) for case, f in found.items() if f.get("closed") is not None}
+    shares = _beside("truth", cases, wanted, partial(truth_case, cases), jobs)
+    return {case: float(f["closed"]) for case, f in shares.items() if f.get("closed") is not None}
 
 
 def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:

@@ -35,9 +35,9 @@ def main(folders: Sequence[Path], *, page: Path | None = None) -> None:
                 held[family] += coefficient_coverage(row)
     heads, rows = ["family of the injected truth", "recovered", "interval holds"], []
     for family in [*sorted(set(named) - {ALL}), ALL]:
-        found, kept = named[family], held[family]
+        right, kept = named[family], held[family]
         interval = share(sum(kept), len(kept)) if kept else "no number to hold"
-        rows.append((family, share(sum(found), len(found)), interval))
+        rows.append((family, share(sum(right), len(right)), interval))
     table(heads, rows, page=page)
 
 

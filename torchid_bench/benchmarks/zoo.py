@@ -214,8 +214,8 @@ def claims(document: dict[str, Any]) -> tuple[Claim, ...]:
         return (*_causes(document), *_servos(document))
     if "checks" in document:
         sure = {"wrong": 1.0, "doubtful": 0.5, "cannot tell": 0.0}
-        told = [c for c in document["checks"] if c["verdict"] in sure]
-        return tuple(Claim(c["name"], tuple(c["joints"]), (), sure[c["verdict"]]) for c in told)
+        named = [c for c in document["checks"] if c["verdict"] in sure]
+        return tuple(Claim(c["name"], tuple(c["joints"]), (), sure[c["verdict"]]) for c in named)
     if "frames" in document:
         return _payload(document)
     return (*_identified(document), *_errors(document))
@@ -355,13 +355,13 @@ def _of_number(truth: Truth, value: float, std: float) -> str:
 def _alike(truth: Truth, said: Sequence[Claim]) -> tuple[str, str]:
     """Whether numbers of several joints are the same, of those that are sure."""
     sure = [c for c in said if _speaks_of(c, truth) and c.sure > SURE]
-    found = [v for c in sure if (v := _value(c, truth.of)) is not None]
-    if not found:
+    values = [v for c in sure if (v := _value(c, truth.of)) is not None]
+    if not values:
         return ("honest" if any(_speaks_of(c, truth) for c in said) else "missed"), ""
-    low, high = min(found), max(found)
+    low, high = min(values), max(values)
     shown = f"{low[0]:.3g} to {high[0]:.3g}"
     if high[0] <= low[0] * (1 + truth.within):
-        return ("right" if len(found) == len(truth.joints) else "honest"), shown
+        return ("right" if len(values) == len(truth.joints) else "honest"), shown
     reach = high[0] - 2 * high[1] <= (low[0] + 2 * low[1]) * (1 + truth.within)
     return ("honest" if reach else "wrong"), shown
 
@@ -503,7 +503,7 @@ def run_command(command: str, folder: Path, answer: str, limit: float) -> Step:
 
 
 def _cpu_seconds() -> float:
-    """Of all children that ended so far, user and system."""
+    """CPU seconds of all children that ended so far, user and system."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
@@ -528,8 +528,8 @@ def _complaints(document: dict[str, Any]) -> str:
     """What an answer says against its log."""
     doubt = document.get("answer", {}).get("doubt", "")
     checks = [c for c in document.get("checks", ()) if c["verdict"] in ("wrong", "doubtful")]
-    told = [f"{c['name']}: {c['evidence']}" for c in checks]
-    return " ".join((doubt or "", *document.get("warnings", ()), *told))
+    complaints = [f"{c['name']}: {c['evidence']}" for c in checks]
+    return " ".join((doubt or "", *document.get("warnings", ()), *complaints))
 
 
 @cache
@@ -561,8 +561,8 @@ def kept_steps(row: Row, work: Path) -> tuple[Step, ...]:
     folder, file = work / key(row), work / f"{key(row)}.json"
     kept = json.loads(file.read_text()) if file.exists() else []
     answers = [folder / ANSWER.format(k) for k in range(len(kept))]
-    told = [claims(json.loads(a.read_text())) if a.exists() else () for a in answers]
-    return tuple(Step(**s, claims=c) for s, c in zip(kept, told, strict=True))
+    claimed = [claims(json.loads(a.read_text())) if a.exists() else () for a in answers]
+    return tuple(Step(**s, claims=c) for s, c in zip(kept, claimed, strict=True))
 
 
 # The page

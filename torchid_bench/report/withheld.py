@@ -28,10 +28,10 @@ class Line:
 
     def entry(self, scores: Mapping[str, Any]) -> Mapping[str, Any]:
         """What holds the value and its interval."""
-        found: Any = scores
+        value: Any = scores
         for key in self.path[:-1]:
-            found = found[key]
-        return found
+            value = value[key]
+        return value
 
     def value(self, scores: Mapping[str, Any]) -> float | None:
         """The score; None where nothing was tried."""

@@ -106,7 +106,7 @@ def read_cases(folder: Path) -> CaseSet:
     data = read_json(path, "a list of withheld cases")
     _check_schema(data, SCHEMA, path)
     try:
-        found = CaseSet(
+        cases = CaseSet(
             folder,
             int(data["seed"]),
             tuple(str(case) for case in data["cases"]),
@@ -118,19 +118,19 @@ def read_cases(folder: Path) -> CaseSet:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is incomplete or damaged.", got=str(error)) from error
-    if not found.ids:
+    if not cases.ids:
         raise TorchidError(f"'{path}' lists no case.")
-    for case in found.ids:
+    for case in cases.ids:
         # Answers are written beside the logs: never outside of the set.
         if case == ".." or Path(case).name != case:
             raise TorchidError(f"'{path}' names a case that is no folder in the set.", got=case)
-        for file in (found.robot(case), found.log(case)):
+        for file in (cases.robot(case), cases.log(case)):
             if not file.is_file():
                 raise TorchidError(f"the set '{folder}' is incomplete: there is no '{file}'.")
-    return found
+    return cases
 
 
-def read_keys(found: CaseSet, path: Path) -> list[dict[str, Any]]:
+def read_keys(cases: CaseSet, path: Path) -> list[dict[str, Any]]:
     """The keys of a set, in order of its cases.
 
     Raises:
@@ -138,23 +138,23 @@ def read_keys(found: CaseSet, path: Path) -> list[dict[str, Any]]:
     """
     data = read_json(path, "a file of keys")
     digest = sha256(path.read_bytes())
-    if digest != found.keys_sha256:
+    if digest != cases.keys_sha256:
         raise TorchidError(
-            f"'{path}' is not the key file that was sealed with '{found.folder}'.",
+            f"'{path}' is not the key file that was sealed with '{cases.folder}'.",
             got=f"SHA-256 {digest}",
-            expected=found.keys_sha256,
+            expected=cases.keys_sha256,
             hint="keys of another set, or changed after they were sealed",
         )
     _check_schema(data, KEYS_SCHEMA, path)
     by_id = {str(key["id"]): dict(key) for key in data["cases"]}
-    if set(by_id) != set(found.ids):
-        raise TorchidError(f"'{path}' has keys of other cases than '{found.folder}' lists.")
-    return [by_id[case] for case in found.ids]
+    if set(by_id) != set(cases.ids):
+        raise TorchidError(f"'{path}' has keys of other cases than '{cases.folder}' lists.")
+    return [by_id[case] for case in cases.ids]
 
 
-def read_answers(found: CaseSet) -> dict[str, dict[str, Any]]:
+def read_answers(cases: CaseSet) -> dict[str, dict[str, Any]]:
     """The answers that are there, by case."""
-    paths = {case: found.answer(case) for case in found.ids}
+    paths = {case: cases.answer(case) for case in cases.ids}
     return {case: read_json(p, "an answer") for case, p in paths.items() if p.is_file()}
 
 
@@ -223,8 +223,8 @@ def make(
     place = folder.resolve().parent / "-".join((f".{folder.name}", str(seed), *fixed.values()))
     (place / KEPT).mkdir(parents=True, exist_ok=True)
     write = partial(write_drawn, place, seed, fixed)
-    found = each(write, range(count), jobs, "simulating cases", progress)
-    sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": found}, keys))
+    written = each(write, range(count), jobs, "simulating cases", progress)
+    sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": written}, keys))
     ids = tuple(map(case_id, range(count)))
     made = CaseSet(folder, seed, ids, sealed, __version__, mix, kind, robots)
     data = {"schema": SCHEMA, **picked(made, "seed kind mix keys_sha256 version cases=ids")}

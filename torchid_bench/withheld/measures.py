@@ -208,7 +208,7 @@ def coefficient_coverage(row: Row) -> list[bool]:
 
 
 def stated_probabilities(row: Row) -> list[tuple[float, bool]]:
-    """Of every name that was given with a probability, this and whether the effect is there."""
+    """The probability that each name was given with, and whether the effect is there."""
     return [
         (
             c.how_sure,

@@ -155,50 +155,50 @@ def _servo_claims(answer: Mapping[str, Any]) -> list[Claim]:
     """Effects of an answer on commands and positions, which has an entry for each joint that an
     effect is on: of each effect one claim, with all of its joints."""
     entries: dict[str, list[Mapping[str, Any]]] = {}
-    for found in answer["which"]:
-        entries.setdefault(found["effect"], []).append(found)
+    for cause in answer["which"]:
+        entries.setdefault(cause["effect"], []).append(cause)
     n = len(answer["where"]["joints"])
     claims = []
     for name, own in entries.items():
-        place = tuple(sorted(j for found in own for j in found["joints"]))
+        place = tuple(sorted(j for cause in own for j in cause["joints"]))
         # Squares of errors in mrad, of one joint or in the mean of all.
         gain = sum(
-            (found["error_without_mrad"] ** 2 - found["error_with_mrad"] ** 2)
-            * (1 if found["joints"] else n)
-            for found in own
+            (cause["error_without_mrad"] ** 2 - cause["error_with_mrad"] ** 2)
+            * (1 if cause["joints"] else n)
+            for cause in own
         )
-        others = sorted({other for found in own for other in found["ambiguous_with"]} - {name})
+        others = sorted({other for cause in own for other in cause["ambiguous_with"]} - {name})
         joints, family = place or tuple(range(1, n + 1)), own[0]["family"]
         values = _from_intervals(own[0]) if len(own) == 1 else {}
         claims.append(Claim(name, family, place, joints, tuple(others), gain, values))
     return claims
 
 
-def _from_intervals(found: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+def _from_intervals(cause: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     """Values and standard deviations of what has a 95 % interval."""
     out = {}
-    for name, (low, high) in found["ci95"].items():
+    for name, (low, high) in cause["ci95"].items():
         if low is not None and high is not None:
-            out[name] = (found["parameters"][name], (high - low) / (2 * HALF_95))
+            out[name] = (cause["parameters"][name], (high - low) / (2 * HALF_95))
     return out
 
 
-def _claim(found: Mapping[str, Any]) -> Claim:
-    name, joints = found["effect"], tuple(found["joints"])
+def _claim(cause: Mapping[str, Any]) -> Claim:
+    name, joints = cause["effect"], tuple(cause["joints"])
     at_joints = issubclass(KINDS.get(name, Effect), JointEffect | OneJointEffect)
     located = at_joints or name in INERTIAL
-    std = {} if found.get("shape") else found.get("std", {})
+    std = {} if cause.get("shape") else cause.get("std", {})
     # What was planted is beside what the robot's file has.
-    values = {c: x - found.get("file", {}).get(c, 0.0) for c, x in _numbers(found).items()}
+    values = {c: x - cause.get("file", {}).get(c, 0.0) for c, x in _numbers(cause).items()}
     return Claim(
         name,
-        found["family"],
-        joints if located and not found.get("common") else (),
+        cause["family"],
+        joints if located and not cause.get("common") else (),
         joints,
-        tuple(found["ambiguous_with"]),
-        found.get("share") or 0.0,
+        tuple(cause["ambiguous_with"]),
+        cause.get("share") or 0.0,
         {c: (values[c], float(s)) for c, s in std.items() if s is not None and c in values},
-        found.get("how_sure"),
+        cause.get("how_sure"),
     )
 
 
@@ -215,6 +215,6 @@ def _planted(effect: Mapping[str, Any]) -> Planted:
 
 
 def _numbers(entry: Mapping[str, Any]) -> dict[str, float]:
-    """Those of an entry's parameters that are numbers, not lists or words."""
+    """Parameters of an entry that are numbers, not lists or words."""
     given = entry.get("parameters", {}).items()
     return {name: float(value) for name, value in given if type(value) in (int, float)}

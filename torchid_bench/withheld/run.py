@@ -103,8 +103,8 @@ def run(
         if progress is not None:
             progress(stage, kept + done, len(todo))
 
-    found = each(method or diagnose_case, left, jobs, "diagnosing", say)
-    answers |= {job.case: answer for job, answer in zip(left, found, strict=True)}
+    new = each(method or diagnose_case, left, jobs, "diagnosing", say)
+    answers |= {job.case: answer for job, answer in zip(left, new, strict=True)}
     return {job.case: answers[job.case] for job in todo}
 
 
@@ -128,18 +128,18 @@ def written_answer(
     torch.set_num_threads(1)
     begin = time.perf_counter()
     try:
-        found = answer()
+        answered = answer()
     except Exception as error:
-        found = {"status": ERROR, **(failed or {}), "error": f"{type(error).__name__}: {error}"}
-    found |= {
+        answered = {"status": ERROR, **(failed or {}), "error": f"{type(error).__name__}: {error}"}
+    answered |= {
         "case": job.case,
         "settings": plain(asdict(job.settings)),
         "version": __version__,
         "code": source_digest(),
         "seconds": round(time.perf_counter() - begin, 2),
     }
-    write_json(found, job.answer)
-    return found
+    write_json(answered, job.answer)
+    return answered
 
 
 def _answer(job: Job) -> dict[str, Any]:
@@ -150,12 +150,12 @@ def _answer(job: Job) -> dict[str, Any]:
     robot, log = load_robot(job.robot), read_log(job.log)
     if log.tau is None and log.u is not None:
         return diagnose_positions(robot, log).plain()
-    found = diagnose_torque(robot, log, settings=job.settings)
+    diagnosis = diagnose_torque(robot, log, settings=job.settings)
     corrected = {
-        "effects": [dict(effect) for effect in found.corrected.effects],
-        "pi": found.corrected.require_parameters("an answer").pi,
+        "effects": [dict(effect) for effect in diagnosis.corrected.effects],
+        "pi": diagnosis.corrected.require_parameters("an answer").pi,
     }
-    return {**found.plain(), "corrected": plain(corrected)}
+    return {**diagnosis.plain(), "corrected": plain(corrected)}
 
 
 def source_digest() -> str:

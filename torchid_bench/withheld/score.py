@@ -130,12 +130,12 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
-    found = [how_named(c.row) for c in cases]
-    sizes = [n.set_size for n in found if n.set_size is not None]
+    names = [how_named(c.row) for c in cases]
+    sizes = [n.set_size for n in names if n.set_size is not None]
     return {
         "detected": rate(c.row.alarm for c in cases),
         **{
-            name: rate(getattr(n, name) for n in found)
+            name: rate(getattr(n, name) for n in names)
             for name in ("top1", "in_set", "anywhere", "family", "branch", "exact")
         },
         "set_size": sum(sizes) / len(sizes) if sizes else None,
@@ -143,7 +143,7 @@ def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
 
 
 def _several(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of logs with two or three effects: F1 of (effect, joint), alternatives counting or not."""
+    """F1 of (effect, joint) on logs with two or three effects, alternatives counting or not."""
     out: dict[str, Any] = {}
     groups = {
         "all": cases,
@@ -159,13 +159,13 @@ def _several(cases: Sequence[Scored]) -> dict[str, Any]:
 
 
 def _outside(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of logs with a cause that the library lacks: whether a wrong family is named for sure."""
+    """How often a wrong family is named for sure of logs with a cause that the library lacks."""
     said: Counter[str] = Counter()
     by_cause: dict[str, Counter[str]] = defaultdict(Counter)
     for case in cases:
-        found = verdict(case.row, every=True)
-        said[found] += 1
-        by_cause[case.cause][found] += 1
+        judged = verdict(case.row, every=True)
+        said[judged] += 1
+        by_cause[case.cause][judged] += 1
     return {
         "confident_wrong": rate(v == "confident_wrong" for v in said.elements()),
         "verdicts": dict(said),
@@ -174,7 +174,7 @@ def _outside(cases: Sequence[Scored]) -> dict[str, Any]:
 
 
 def _poor(cases: Sequence[Scored]) -> dict[str, Any]:
-    """Of logs that excite too little: whether the answer says so."""
+    """How often the answer says so of logs that excite too little."""
     said = [poor_verdict(c.row) for c in cases]
     return {
         "honest": rate(v in ("not_testable", "hedged", "right") for v in said),

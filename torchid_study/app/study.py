@@ -16,7 +16,7 @@ from torchid.robot.config_files import robot_file
 
 @dataclass(frozen=True)
 class Changes:
-    """Of a study's search.
+    """What is changed of a study's search.
 
     Attributes:
         runs, stages, generations, schedule: Instead of the study's own.
@@ -73,22 +73,22 @@ def study_command(
         robot_entry = ("robot", settings.robot, robot_file(settings.robot))
         files = output.hashed([("study", given, study_file(given)), robot_entry])
         with output.progress() as progress:
-            told = of(progress, settings.name)
-            found = run_study(settings, device=device_name, workers=crew, report=told)
+            report = of(progress, settings.name)
+            study = run_study(settings, device=device_name, workers=crew, report=report)
         if folder is not None:
             make_folder(folder)
-            found.save(folder / "study.json")
+            study.save(folder / "study.json")
             if figures:
-                page.write_study(found, folder)
-        about = page.seeds_and_settings(found)
-        output.write_page(partial(page.study_page, found), file, files=files, **about)
+                page.write_study(study, folder)
+        about = page.seeds_and_settings(study)
+        output.write_page(partial(page.study_page, study), file, files=files, **about)
         output.finish()  # each study is whole by itself
-        studies.append(found)
-    records = [found.plain() for found in studies]
+        studies.append(study)
+    records = [study.plain() for study in studies]
     together = {"schema": "torchid.studies/1", "studies": records}
     output.write_json(together if name == "all" else records[0], "study.json")
-    for found in studies:
-        output.tell(page.report_of_study(found))
+    for study in studies:
+        output.tell(page.report_of_study(study))
         if out is not None:
-            name = found.settings.name
+            name = study.settings.name
             output.say(f"results of {name} are in {out / name}")

@@ -72,13 +72,16 @@ def wrenches_command(
         output.give(data, "wrenches.json", lambda _: equal_torque.report_of_equal_torque(study))
         return
     given = read_all_sets(sets, robot)
-    found = torchid.compare_wrenches(
+    comparison = torchid.compare_wrenches(
         robot, given, reference, motion=motion, geometry=geometry, total_mass=total_mass,
         resamples=resamples, seed=seed,
     )  # fmt: skip
-    told = [note for file in sets if (note := other_robot(file, robot))]
-    told += given_sets.unequal_torque(found)
-    data = given_record(found, tuple(map(str, sets))).plain() | {"warnings": told}
+    notes = [note for file in sets if (note := other_robot(file, robot))]
+    notes += given_sets.unequal_torque(comparison)
+    data = given_record(comparison, tuple(map(str, sets))).plain() | {"warnings": notes}
     output.give(
-        data, "wrenches.json", lambda _: given_sets.report_of_given_sets(found, told), seed=seed
+        data,
+        "wrenches.json",
+        lambda _: given_sets.report_of_given_sets(comparison, notes),
+        seed=seed,
     )

@@ -69,15 +69,15 @@ def force_reach(
         squares: see `force_squares`.
         kinds: of `KINDS`; one without any set, or without a condition to violate, is left out.
     """
-    found = []
+    reaches = []
     for kind in kinds:
         cone = _cone(space, frozenset(kind.split("+")) - {"feasible"})
         if cone is None:
             continue
         both = [cone.reach(square) for square in squares]
         reached, bound = torch.tensor(both, dtype=squares.dtype).T
-        found.append(ForceReach(kind, reached, bound))
-    return tuple(found)
+        reaches.append(ForceReach(kind, reached, bound))
+    return tuple(reaches)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ class _Cone:
         size = float(np.linalg.norm(cost))
         if size == 0.0:
             return self.origin
-        found = minimise(cost / size, self.rows)
-        return self.origin + self.axes @ found.point if found.usable else None
+        solution = minimise(cost / size, self.rows)
+        return self.origin + self.axes @ solution.point if solution.usable else None
 
     def reach(self, square: Tensor) -> tuple[float, float]:
         """Root mean squares reached and not exceeded; nan where the solver fails."""

@@ -156,23 +156,23 @@ def given_sets(
     )
 
 
-def given_record(found: GivenSets, source: tuple[str, ...] = ()) -> GivenSetsRecord:
+def given_record(given: GivenSets, source: tuple[str, ...] = ()) -> GivenSetsRecord:
     """A comparison of given sets with a reference.
 
     Args:
-        found: what was found.
+        given: what was found.
         source: files of the sets.
     """
     return GivenSetsRecord(
-        robot=found.robot.name,
+        robot=given.robot.name,
         source=source,
         reference=GivenReference(
-            id=found.reference.ids[0],
-            force_rms=found.errors.reference_force_rms,
-            moment_rms=found.errors.reference_moment_rms,
+            id=given.reference.ids[0],
+            force_rms=given.errors.reference_force_rms,
+            moment_rms=given.errors.reference_moment_rms,
         ),
-        instants=found.motion.q.shape[0],
-        torque_relative_max=float(found.torque_relative.max()),
-        comparison=found.comparison,
-        sets=set_errors(found, found.sets.ids, found.checked.degree),
+        instants=given.motion.q.shape[0],
+        torque_relative_max=float(given.torque_relative.max()),
+        comparison=given.comparison,
+        sets=set_errors(given, given.sets.ids, given.checked.degree),
     )

@@ -128,19 +128,19 @@ def _first_stage(region: Region) -> tuple[Tensor, Tensor]:
         region.c,
     )
     z = torch.cat([torch.zeros(k, d, dtype=weight.dtype), slack.unsqueeze(-1)], -1)
-    best, found = z[:, :d].clone(), torch.zeros(k, dtype=torch.bool)
+    best, inside = z[:, :d].clone(), torch.zeros(k, dtype=torch.bool)
     slope = torch.zeros_like(z)
     slope[:, -1] = 1 / slack
     # 150: Newton steps at most
     for _ in range(150):
         z, _, _ = _newton(widened, z, slope)
-        now = _derivatives(region, z[:, :d])[2] & ~found
+        now = _derivatives(region, z[:, :d])[2] & ~inside
         best = torch.where(now.unsqueeze(-1), z[:, :d], best)
-        found = found | now
-        if bool(found.all()):
+        inside = inside | now
+        if bool(inside.all()):
             break
         slope = slope * 1.3
-    return best, found
+    return best, inside
 
 
 def hit_and_run(region: Region, seeds: Sequence[int], draws: int, thin: int) -> Tensor:

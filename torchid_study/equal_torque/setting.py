@@ -16,7 +16,6 @@ from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import ParameterSets, nominal_set
 from torchid.identification.base_parameters import BaseParameters, base_parameters
 from torchid.log.model import Log
-from torchid.log.sampling import resample
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
 from torchid_study.equal_torque.settings import MARGIN
@@ -92,14 +91,14 @@ def equal_torque_setting(
     reference, change = nominal, torch.zeros(robot.n, dtype=torch.float64)
     reasons = ", ".join(checked.reasons(0))
     if reasons:
-        found = nearest_feasible(robot, nominal, asked, margin=margin)
-        if not bool(found.feasible[0]):
+        nearest = nearest_feasible(robot, nominal, asked, margin=margin)
+        if not bool(nearest.feasible[0]):
             raise TorchidError(
                 f"no feasible set near the parameters of robot '{robot.name}' was found.",
-                got=f"{reasons}; solver: {found.status[0]}",
+                got=f"{reasons}; solver: {nearest.status[0]}",
                 hint="wider boxes, another interval of the total mass, or a smaller margin",
             )
-        reference, change = replace(found.sets, ids=("reference",)), found.torque_change[0]
+        reference, change = replace(nearest.sets, ids=("reference",)), nearest.torque_change[0]
         notes = [
             f"the nominal parameters are not feasible ({reasons}): the reference is the feasible "
             f"set nearest in torque, {float(change.square().mean().sqrt()):.3g} N m from them (RMS "
@@ -150,7 +149,7 @@ def logged_motion(log: Log, robot: Robot) -> Motion:
     if log.dq is not None and log.ddq is not None:
         return Motion(log.q, log.dq, log.ddq)
     # The torque is not used; without one, a log has nothing to be differentiated for.
-    every = measurements(resample(log.replace(tau=torch.zeros_like(log.q))), LOG_CUTOFF)
+    every = measurements(log.replace(tau=torch.zeros_like(log.q)).even, LOG_CUTOFF)
     states = [m.motion.part(slice(m.edge, m.samples - m.edge)).state for m in every]
     return Motion(*(torch.cat(x) for x in zip(*states, strict=True)))
 

@@ -185,7 +185,7 @@ class WrenchComparison:
 
 
 def set_errors(
-    found: WrenchComparison,
+    comparison: WrenchComparison,
     ids: Sequence[str],
     degree: Float[Tensor, " K"],
     kinds: Sequence[str] = (),
@@ -196,12 +196,12 @@ def set_errors(
         SetErrors(
             id=name,
             kind=kinds[k] if kinds else UNSET,
-            feasible=bool(found.checked.feasible[k]),
-            reasons=found.checked.reasons(k),
+            feasible=bool(comparison.checked.feasible[k]),
+            reasons=comparison.checked.reasons(k),
             degree=float(degree[k]),
-            torque_relative=found.torque_relative[k],
-            carried=found.carried[k],
-            **{name: getattr(found.errors, name)[k] for name in names},
+            torque_relative=comparison.torque_relative[k],
+            carried=comparison.carried[k],
+            **{name: getattr(comparison.errors, name)[k] for name in names},
         )
         for k, name in enumerate(ids)
     )
@@ -416,15 +416,15 @@ def equal_torque_study(
 def _correlations(
     family: EqualTorqueSets, degree: np.ndarray, error: np.ndarray, resamples: int, seed: int
 ) -> tuple[KindCorrelation, ...]:
-    """Of the kinds that have enough sets."""
-    kind, found = np.array(family.kind), []
+    """Correlations of degree and error, of the kinds that have enough sets."""
+    kind, correlations = np.array(family.kind), []
     sample = Sample(error, family.cluster.numpy(), resamples, np.random.default_rng(seed))
     for name in dict.fromkeys(family.kind):
         own = np.flatnonzero(kind == name)
         if len(own) >= 3 * LEAST_SETS:
             rho = sample.estimate(lambda k: spearman(degree[k], error[k]), [own])
-            found.append(KindCorrelation(name, len(own), rho))
-    return tuple(found)
+            correlations.append(KindCorrelation(name, len(own), rho))
+    return tuple(correlations)
 
 
 def _kind(study: EqualTorqueStudy, kind: str) -> KindRecord:

@@ -19,8 +19,8 @@ from torchid_study.wrenches.resampling import Estimate
 
 def report_of_equal_torque(study: EqualTorqueStudy) -> Report:
     """All that there is to see of a study."""
-    told = "\n".join(f"- {sentence}" for sentence in findings(study))
-    return Report(parts=tables(study), warnings=study.warnings, last=told, figures=figures(study))
+    words = "\n".join(f"- {sentence}" for sentence in findings(study))
+    return Report(parts=tables(study), warnings=study.warnings, last=words, figures=figures(study))
 
 
 def tables(study: EqualTorqueStudy) -> list[Table]:
@@ -73,21 +73,21 @@ def effect_table(study: EqualTorqueStudy) -> Table:
     return table_of(title, study.comparison.effects, "first second ratio delta")
 
 
-def class_table(found: Comparison, title: str, note: str = "") -> Table:
+def class_table(comparison: Comparison, title: str, note: str = "") -> Table:
     """Errors by class, against those of the first, then of all sets that have a reason, alone or
     among others."""
-    effects = {e.first: e for e in found.effects}
+    effects = {e.first: e for e in comparison.effects}
 
     def row(c: ClassSummary, effect: EffectSize | None) -> list[str]:
         sizes = cells((c.median, c.lower_quartile, c.upper_quartile))
         against = ["-"] * 2 if effect is None else [str(effect.ratio), str(effect.delta)]
         return [c.name, str(c.sets), *sizes, *against]
 
-    rows = [row(c, effects.get(c.name)) for c in found.classes]
-    rows += [[], *(row(c, None) for c in found.per_reason)]
+    rows = [row(c, effects.get(c.name)) for c in comparison.classes]
+    rows += [[], *(row(c, None) for c in comparison.per_reason)]
     columns = (
         "sets that violate", "sets", "median", "lower quartile", "upper quartile",
-        f"ratio to {found.classes[0].name}", "Cliff's delta",
+        f"ratio to {comparison.classes[0].name}", "Cliff's delta",
     )  # fmt: skip
     return Table(title, columns, rows, "l", note)
 
@@ -125,7 +125,7 @@ _WORDS = {
 
 def findings(study: EqualTorqueStudy) -> list[str]:
     """What the numbers say, a sentence each; `cannot tell` where an interval says so."""
-    told = [
+    reaches = [
         f"The torque is equal: the largest difference of any set at any joint is "
         f"{float(study.torque_relative.max()):.0e} of that joint's torque.",
         weight_sentence(study.static_share),
@@ -136,7 +136,7 @@ def findings(study: EqualTorqueStudy) -> list[str]:
             who = f"Drawn sets that violate {_WORDS[e.first]} only"
             against = f"those that violate {_WORDS.get(e.second)} only"
             against = "drawn feasible sets" if e.second == "feasible" else against
-            told.append(
+            reaches.append(
                 _judged(
                     e.ratio, 1, f"{who}, against {against}: {few}.",
                     f"{who} are not distinguishable from {against}: HOW.",
@@ -150,7 +150,7 @@ def findings(study: EqualTorqueStudy) -> list[str]:
                 ("feasible sets", "firmer") if c.kind == "feasible" else (among, "less violating")
             )
             side = "smaller" if c.degree.value < 0 else "larger"
-            told.append(
+            reaches.append(
                 _judged(
                     c.degree, 0, f"Among {among}: {few} whether the degree matters.",
                     f"Among {among} no effect of the degree is visible: HOW.",
@@ -161,15 +161,15 @@ def findings(study: EqualTorqueStudy) -> list[str]:
     reach = {r.kind: r for r in study.reach}
     if "feasible" in reach:
         greatest = float(reach["feasible"].reached.max())
-        told.append(f"Even feasible sets can be off by {greatest:.3g} N.")
+        reaches.append(f"Even feasible sets can be off by {greatest:.3g} N.")
         for kind in (kind for kind in ("inertia", "com") if kind in reach):
             times = (reach[kind].reached / reach["feasible"].bound).clamp(min=1.0).tolist()
-            told.append(
+            reaches.append(
                 f"With {_WORDS[kind]} violated alone, the greatest error of any set is at least "
                 f"{', '.join(f'{t:.2f}' for t in times)} times that of feasible ones (joint by "
                 "joint)."
             )
-    return told
+    return reaches
 
 
 def weight_sentence(share: tuple[float, float, float]) -> str:
@@ -193,14 +193,14 @@ def weight_sentence(share: tuple[float, float, float]) -> str:
 
 
 def _judged(
-    found: Estimate, none: float, few: str, same: str, other: str, how: str = "{:.2f} times"
+    estimate: Estimate, none: float, few: str, same: str, other: str, how: str = "{:.2f} times"
 ) -> str:
     """What an interval says: too little, that `none` is in it, or that something is; `HOW` in these
     sentences is the estimate with its interval."""
-    if math.isnan(found.low):
+    if math.isnan(estimate.low):
         return few
-    said = f"{how.format(found.value)} (95 %: {found.low:.2f} to {found.high:.2f})"
-    return (same if found.low <= none <= found.high else other).replace("HOW", said)
+    said = f"{how.format(estimate.value)} (95 %: {estimate.low:.2f} to {estimate.high:.2f})"
+    return (same if estimate.low <= none <= estimate.high else other).replace("HOW", said)
 
 
 COLOURS = {
@@ -342,6 +342,6 @@ def _colour(kind: str) -> str:
 
 
 def class_colour(name: str) -> str:
-    """Of a class of reasons: that of its kind."""
+    """Colour of a class of reasons: that of its kind."""
     kinds = {label: kind for kind, label in CLASS_NAMES.items()} | {MIXED: "inertia+com"}
     return _colour(kinds.get(name, name))

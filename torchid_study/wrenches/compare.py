@@ -205,11 +205,11 @@ class _Sample(Sample):
         return EffectSize(first, second, delta, ratio, (len(a), len(b)), note)
 
 
-def _note(found: Estimate) -> str:
-    if np.isfinite(found.low):
+def _note(estimate: Estimate) -> str:
+    if np.isfinite(estimate.low):
         return ""
     return (
-        f"no interval: too few clusters ({found.clusters} together), "
+        f"no interval: too few clusters ({estimate.clusters} together), "
         f"at least {LEAST_CLUSTERS} of each class are needed"
     )
 
@@ -221,14 +221,14 @@ def _check(
     cluster: Tensor | None,
     resamples: int,
 ) -> None:
-    found = {"reasons": len(reasons), "degree": degree.shape[0]}
+    sizes = {"reasons": len(reasons), "degree": degree.shape[0]}
     if cluster is not None:
-        found["cluster"] = cluster.shape[0]
-    wrong = {name: length for name, length in found.items() if length != k}
+        sizes["cluster"] = cluster.shape[0]
+    wrong = {name: length for name, length in sizes.items() if length != k}
     if k == 0 or wrong:
         raise TorchidError(
             "errors, reasons, degree and cluster are one per set.",
-            got=f"{k} errors and {', '.join(f'{v} of {n}' for n, v in (wrong or found).items())}",
+            got=f"{k} errors and {', '.join(f'{v} of {n}' for n, v in (wrong or sizes).items())}",
             expected="the same number of each, one at least",
         )
     if any(isinstance(r, str) for r in reasons):

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from tests.gap.causes.problems import NAMES, PLANTED, problem, search
-from tests.gap.problems import data_of, measured, problem_of, wanted_of
+from tests.gap.problems import ROBOT, data_of, measured, problem_of, wanted_of
+from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.evidence import Fit
@@ -13,6 +14,7 @@ from torchid.gap.causes.explain import AGAIN, explain, with_bodies
 from torchid.gap.causes.search import Search
 from torchid.gap.torque import STAGES
 from torchid.parallel.pace import Pace
+from torchid.robot.inertia import InertialParameters
 
 
 @pytest.mark.parametrize("name", PLANTED)
@@ -46,6 +48,35 @@ def test_friction_that_the_file_has_and_the_arm_has_not_is_a_change_to_nothing()
     assert found.keys() == gone.keys()
     for name, values in gone.items():
         assert found[name] == pytest.approx(values, rel=0.1)
+
+
+@pytest.mark.parametrize(("gain", "names"), [(-0.4, ["torque_gain"]), (-0.8, [])])
+def test_what_no_arm_has_is_no_cause(gain: float, names: list[str]) -> None:
+    """At its least, which takes away nothing that the model has, a coefficient has no name."""
+    data = measured([(TorqueGain(1), (gain,))])
+    fit = Search(Library(problem_of(data, wanted_of(("torque_gain",))))).explanation().fit
+    assert [t.name for t in fit.terms] == names
+
+
+def test_a_turned_zero_of_the_last_joint_is_no_load() -> None:
+    """It turns the last link, which ten numbers of a body do as well, and its slope less well."""
+    offset = -0.15
+    data = measured([(EncoderOffset(2, at=offset), [offset])])
+    wanted = wanted_of((*NAMES, "encoder_offset", "payload", "link_inertia"), inertial=True)
+    fit = Search(Library(problem_of(data, wanted))).explanation().fit
+    assert [(t.name, t.joints) for t in fit.terms] == [("encoder_offset", (2,))]
+    assert fit.values()[0].tolist() == pytest.approx([offset], rel=0.02)
+
+
+@pytest.mark.parametrize(("mass", "name"), [(0.0, "link_inertia"), (0.5, "payload")])
+def test_a_centre_that_no_mass_moved_is_no_load(mass: float, name: str) -> None:
+    """Ten numbers of the last link are a load's where their mass may have their moment."""
+    pi = ROBOT.require_parameters("a test").pi.clone()
+    pi[-1, :2] += torch.tensor([mass, 0.06], dtype=pi.dtype)
+    real = ROBOT.with_parameters(InertialParameters(pi))
+    wanted = wanted_of((*NAMES, "payload", "link_inertia"), inertial=True)
+    fit = Search(Library(problem_of(measured([], real=real), wanted))).explanation().fit
+    assert [t.name for t in fit.terms] == [name]
 
 
 def test_steps_are_told_and_no_set_comes_back() -> None:

@@ -43,7 +43,7 @@ def by_definition(players: list[Tensor], gap: Tensor) -> Tensor:
     return out / len(orders)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000), st.integers(1, 4), st.integers(0, 2), st.booleans())
 def test_shares_are_means_over_all_orders(seed: int, causes: int, fixed: int, first: bool):
     g = torch.Generator().manual_seed(seed)

@@ -310,7 +310,7 @@ def test_draws_are_uniform() -> None:
 
 
 @pytest.mark.nightly
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=6, derandomize=True)
 @given(seed=st.integers(0, 1000), letters=st.sampled_from(["RR", "RRP", "PRR", "RPRR", "RRRRR"]))
 def test_random_arms(seed: int, letters: str) -> None:
     robot = mixed_arm(letters, seed)

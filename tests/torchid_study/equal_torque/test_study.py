@@ -193,7 +193,7 @@ def test_no_drawn_set_exceeds_the_reach(name: str) -> None:
         assert bool((reach[kind].bound >= reach["feasible"].reached * (1 - 1e-4)).all())
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=8, derandomize=True)
 @given(seed=st.integers(0, 1000), letters=st.sampled_from(["RP", "PRR", "RPRR", "PPR", "RRRP"]))
 def test_forces_along_prismatic_axes_are_known(seed: int, letters: str) -> None:
     """The torque of a prismatic joint is that force: no set with equal torque changes it."""

@@ -233,7 +233,7 @@ def test_a_string_is_not_a_list_of_reasons(types_unchecked: None) -> None:
         )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.floats(0.01, 100))
 def test_units_do_not_matter(seed: int, unit: float) -> None:
     """Errors in another unit: the same ranks, deltas and ratios."""

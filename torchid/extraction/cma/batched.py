@@ -148,9 +148,9 @@ def minimise(
         _fold(runs)
         _limit(runs)
     lower = runs.covariance.tril()
-    found = {name: getattr(runs, name) for name in own}
-    found["covariance"] = lower + lower.tril(-1).mT
-    return SearchState(**found, generation=state.generation + generations)
+    own_values = {name: getattr(runs, name) for name in own}
+    own_values["covariance"] = lower + lower.tril(-1).mT
+    return SearchState(**own_values, generation=state.generation + generations)
 
 
 def _select(

@@ -284,25 +284,25 @@ class _Quantity:
 def _quantities(problem: Problem, box: np.ndarray) -> list[_Quantity]:
     """All quantities that an atlas bounds, with the centres of mass in a box (n, 3, 2)."""
     n = problem.n
-    found = []
+    quantities = []
     for k, (name, unit) in enumerate(zip(parameter_names(n), parameter_units(n), strict=True)):
         if n <= k < 4 * n:
             link, axis = divmod(k - n, 3)
             low, high = box[link, axis].tolist()
-            found.append(_Quantity(f"c{link + 1}{AXES[axis]}", "m", k, low, high, link))
+            quantities.append(_Quantity(f"c{link + 1}{AXES[axis]}", "m", k, low, high, link))
         elif k < n:
-            found.append(_Quantity(name, unit, k, *problem.bounds.mass[k].tolist()))
+            quantities.append(_Quantity(name, unit, k, *problem.bounds.mass[k].tolist()))
         else:
             low = 0.0 if name[-1] == name[-2] else -np.inf
-            found.append(_Quantity(name, unit, k, low, np.inf))
+            quantities.append(_Quantity(name, unit, k, low, np.inf))
     limits = problem.box[10 * n :].tolist()
     for effect in problem.target.effects:
         prismatic = problem.robot.joint_types[effect.joint] is JointType.PRISMATIC
         for name, c in zip(effect.coefficient_names(), effect.coefficients, strict=True):
-            low, high = limits[len(found) - 10 * n]
+            low, high = limits[len(quantities) - 10 * n]
             low = max(low, 0.0) if c.non_negative else low
-            found.append(_Quantity(name, c.unit_for(prismatic), len(found), low, high))
-    return found
+            quantities.append(_Quantity(name, c.unit_for(prismatic), len(quantities), low, high))
+    return quantities
 
 
 def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Status, np.ndarray]:
@@ -315,25 +315,25 @@ def _end(sets: ConvexSets, quantity: _Quantity, sign: float) -> tuple[float, Sta
     if np.abs(row @ space.basis).max(initial=0.0) <= 1e-12 * np.abs(space.basis).max(initial=1.0):
         # The same for all: nothing to minimise, but some set must exist.
         row = 0.0 * row
-    found, _ = space.least(row)
-    if found.status == "unbounded":
+    solution, _ = space.least(row)
+    if solution.status == "unbounded":
         return -sign * np.inf, "unbounded", nothing
-    if not found.usable:
-        return np.nan, found.status, nothing
-    v, inverse = (found.point, 1.0) if quantity.mass is None else np.split(found.point, [-1])
+    if not solution.usable:
+        return np.nan, solution.status, nothing
+    v, inverse = (solution.point, 1.0) if quantity.mass is None else np.split(solution.point, [-1])
     v = v / inverse if inverse > 0 else 0.0 * v
     if sets.touches_reach(v):
         return -sign * np.inf, "unbounded", nothing
     value = float(space.origin[quantity.column])
     if row.any():
         # The bound of the minimum where it is close, else the value.
-        gap, least = found.value - found.bound, found.value + sign * value
+        gap, least = solution.value - solution.bound, solution.value + sign * value
         # 1e-5: gap between an end and its proof, relative to its size, up to which the proven value
         # is given
-        close = 0 <= gap <= 1e-5 * max(abs(least), abs(found.value), 1e-9)
-        value += sign * (found.bound if close else found.value)
+        close = 0 <= gap <= 1e-5 * max(abs(least), abs(solution.value), 1e-9)
+        value += sign * (solution.bound if close else solution.value)
     value = float(np.clip(value, quantity.low, quantity.high))
-    return value, found.status, sets.x(v) if inverse > 0 else nothing
+    return value, solution.status, sets.x(v) if inverse > 0 else nothing
 
 
 def _over_mass(sets: ConvexSets, mass: int) -> ConvexSets:

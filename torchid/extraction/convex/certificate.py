@@ -39,10 +39,10 @@ def conflict_of(body: ConvexSets) -> tuple[str, ...]:
     contradiction is then dropped.
     """
     nothing = np.zeros(body.basis.shape[1])
-    found = minimise(nothing, body.rows)
-    if found.usable:
+    solution = minimise(nothing, body.rows)
+    if solution.usable:
         return ()
-    kept = _active(body, found)
+    kept = _active(body, solution)
     everything = set(body.names)
     for name in list(kept):
         rest = set(kept) - {name}
@@ -52,25 +52,25 @@ def conflict_of(body: ConvexSets) -> tuple[str, ...]:
 
 
 def forcing_conditions(
-    body: ConvexSets, matrix: np.ndarray, offset: np.ndarray, found: Nearest
+    body: ConvexSets, matrix: np.ndarray, offset: np.ndarray, nearest: Nearest
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """What holds a least norm up.
 
     Args:
         body: the sets.
         matrix, offset: of the norm ||matrix x + offset||.
-        found: its minimum over the sets.
+        nearest: its minimum over the sets.
 
     Returns:
         The squared minimum without each active condition (without any other it stays), and a small
         group of conditions, found greedily, without which it is nearly zero; () if there is none
         or the minimum is zero.
     """
-    if found.bound <= NOTHING_SHARE * float(np.linalg.norm(offset)):
+    if nearest.bound <= NOTHING_SHARE * float(np.linalg.norm(offset)):
         return {}, ()
     first: dict[str, float] = {}
     # 1e-3: share of a least loss that counts as none
-    goal, group, left = 1e-3 * found.value**2, list[str](), found
+    goal, group, left = 1e-3 * nearest.value**2, list[str](), nearest
     while left.value**2 > goal:
         rest = body.without(group)
         trials = {
@@ -93,9 +93,9 @@ def forcing_conditions(
     return first, tuple(group)
 
 
-def _active(body: ConvexSets, found: Solution) -> list[str]:
+def _active(body: ConvexSets, solution: Solution) -> list[str]:
     """Conditions whose multipliers are not zero: without any other, the optimum stays."""
-    sizes = [float(np.linalg.norm(z)) for z in found.multipliers[: len(body.rows)]]
+    sizes = [float(np.linalg.norm(z)) for z in solution.multipliers[: len(body.rows)]]
     # 1e-7: multipliers below this share of the largest are zero
     least = 1e-7 * max(sizes)
     # Not "s > least": a multiplier that is not a number counts.
@@ -133,18 +133,18 @@ def certificate_where_possible(problem: Problem) -> tuple[Certificate, tuple[str
     """The certificate under all conditions; under bounds and physics alone where no set meets
     them all, with that `conflict`. A note says so, or that the solver failed.
     """
-    found = certificate(problem)
-    if found.feasible:
-        return found, ()
+    proof = certificate(problem)
+    if proof.feasible:
+        return proof, ()
     bounds = f"the bounds '{problem.bounds.name}'"
-    if not found.conflict:
-        return found, (f"the solver failed within {bounds}: how small phi can be is not known",)
+    if not proof.conflict:
+        return proof, (f"the solver failed within {bounds}: how small phi can be is not known",)
     note = (
-        f"no set within {bounds} meets the conditions ({', '.join(found.conflict)}): phi_min is "
+        f"no set within {bounds} meets the conditions ({', '.join(proof.conflict)}): phi_min is "
         "that of the bounds alone"
     )
     alone = certificate(problem, with_conditions=False)
-    return structs.replace(alone, conflict=alone.conflict or found.conflict), (note,)
+    return structs.replace(alone, conflict=alone.conflict or proof.conflict), (note,)
 
 
 def certificate(
@@ -186,11 +186,11 @@ def certificate(
     # Rows that only bound the inertias help some proofs and harm others; without them the bound
     # still holds within the radius.
     free = replace(outer.without(outer.reach_names), radius=outer.radius)
-    found = max(
+    best = max(
         (b.least_norm(matrix, offset) for b in (outer, free)), key=lambda nearest: nearest.bound
     )
-    released, forcing = forcing_conditions(free, matrix, offset, found) if explain else ({}, ())
-    phi_min = found.bound**2
+    released, forcing = forcing_conditions(free, matrix, offset, best) if explain else ({}, ())
+    phi_min = best.bound**2
     # 1e-3: share of phi_min by which releasing a condition must lower it to be listed
     lower = [(name, phi) for name, phi in released.items() if phi < phi_min * (1 - 1e-3)]
     return Certificate(
@@ -205,7 +205,7 @@ def certificate(
         relaxed_active=inner.outside,
         with_conditions=with_conditions,
         exact=inner.phi <= NOTHING_SHARE**2 * float(offset @ offset),
-        status=found.solution.status,
+        status=best.solution.status,
         seconds=time.perf_counter() - begun,
     )
 
@@ -228,12 +228,12 @@ class _Question(AskedSets):
     def crossed(self) -> tuple[str, ...]:
         """Centres of mass, and the total mass, for which no value is left."""
         apart = (self.box[..., 0] > self.box[..., 1]).nonzero()
-        found = [f"com_{i + 1}{AXES[a]}" for i, a in zip(*(k.tolist() for k in apart), strict=True)]
+        names = [f"com_{i + 1}{AXES[a]}" for i, a in zip(*(k.tolist() for k in apart), strict=True)]
         if not self.with_conditions:
-            return tuple(found)
+            return tuple(names)
         low, high = self.problem.bounds.mass.sum(0).tolist()
         least, most = self.problem.conditions.total_mass.tolist()
-        return (*found, "total_mass") if low > most or high < least else tuple(found)
+        return (*names, "total_mass") if low > most or high < least else tuple(names)
 
     def strictly_inside(self, matrix: np.ndarray, offset: np.ndarray) -> "_Inner | None":
         """The best strictly feasible set; None if there is none.
@@ -268,10 +268,10 @@ class _Question(AskedSets):
         self, strict: float, inside: np.ndarray | None, matrix: np.ndarray, offset: np.ndarray
     ) -> tuple[ParameterSets, float] | None:
         """The set of least loss, and the loss; None if the solver or the margins say no."""
-        found = self.body(strict, inside).tightened(INSIDE_SHARE).least_norm(matrix, offset)
-        if not found.solution.usable:
+        nearest = self.body(strict, inside).tightened(INSIDE_SHARE).least_norm(matrix, offset)
+        if not nearest.solution.usable:
             return None
-        x, box = found.x.copy(), self.box
+        x, box = nearest.x.copy(), self.box
         for link in range(self.problem.n):
             # The solver's rounding, where the interval of a centre of mass is one point.
             mass, *moment = link_columns(self.problem.n, link)[:4]

@@ -66,14 +66,14 @@ def _end(
         body = asked.body(margin, com).without(without).tightened(INSIDE_SHARE)
         # 1e-3: share of the least loss that nearness to the search's end may cost beside it
         region = least_loss_region(problem, body, 1e-3)
-        found = region.sets.least_norm(nearness, -nearness @ start)
-        if not found.solution.usable and com is not None and least == np.inf:
+        nearest = region.sets.least_norm(nearness, -nearness @ start)
+        if not nearest.solution.usable and com is not None and least == np.inf:
             # No set near the run's centres of mass: those of the relaxed bounds may do.
             com = None
             continue
-        if not found.solution.usable:
+        if not nearest.solution.usable:
             break
-        sets = sets_of(found.x[None], problem.n, problem.target.effects, ["end"])
+        sets = sets_of(nearest.x[None], problem.n, problem.target.effects, ["end"])
         phi = float(problem.residual_of_vector(sets.vector).square().sum())
         # 1e-3: relative decrease of the loss for which the bounds of inertias are linearised anew
         if phi >= (1 - 1e-3) * least:
@@ -146,7 +146,7 @@ def _physical(bounds: Float[Tensor, "6 2"]) -> bool:
     definite = np.hstack([moments, -triangle(np.eye(3))[:, None]])
     ends = np.hstack([np.vstack([np.eye(6), -np.eye(6)]), np.zeros((12, 1))])
     offset, none = np.concatenate([-low, high]) / size, np.zeros(12)
-    found = minimise(
+    solution = minimise(
         -np.eye(7)[6],
         [
             Rows("definite", "semidefinite", definite, np.zeros(6), np.zeros(6)),
@@ -155,4 +155,4 @@ def _physical(bounds: Float[Tensor, "6 2"]) -> bool:
     )
     # 1e-9: smallest eigenvalue of second moments that inertias within bounds must allow, over their
     # size
-    return found.usable and -found.value > 1e-9
+    return solution.usable and -solution.value > 1e-9

@@ -98,8 +98,8 @@ def nearest_feasible(
     # R (P, P) with ||R x|| the root mean square of the torque Y x.
     factor = (torch.linalg.qr(y, mode="r").R / y.shape[0] ** 0.5).numpy()
     question = _Question(robot, sets, asked, margin, slack, factor)
-    found = [question.nearest(k) for k in range(len(sets))]
-    x = torch.as_tensor(np.stack([f[0] for f in found]))
+    nearest = [question.nearest(k) for k in range(len(sets))]
+    x = torch.as_tensor(np.stack([f[0] for f in nearest]))
     after = sets_of(x.numpy(), robot.n_links, sets.effects, sets.ids)
     joints = (-1, robot.n, len(sets))
     change = (y @ (x - given).T).reshape(joints).square().mean(0).sqrt().T
@@ -110,8 +110,8 @@ def nearest_feasible(
         margin=_least_eigenvalue(after).amin(-1),
         torque_change=change,
         torque_change_relative=change / own,
-        least=torch.tensor([f[1] for f in found], dtype=torch.float64),
-        status=tuple(f[2] for f in found),
+        least=torch.tensor([f[1] for f in nearest], dtype=torch.float64),
+        status=tuple(f[2] for f in nearest),
     )
 
 

@@ -400,15 +400,15 @@ class ConvexSets:
         wide = [replace(r, matrix=np.pad(r.matrix, ((0, 0), (0, 1)))) for r in self.rows]
         cost = np.zeros(d + 1)
         cost[-1] = 1.0
-        found = minimise(cost, [*wide, norm], radius=np.append(self.radius, np.inf))
-        x = self.x(found.point[:-1])
+        solution = minimise(cost, [*wide, norm], radius=np.append(self.radius, np.inf))
+        x = self.x(solution.point[:-1])
         value = float(np.linalg.norm(matrix @ x + offset))
-        return Nearest(found, x, value, min(max(found.bound, 0.0) * unit, value))
+        return Nearest(solution, x, value, min(max(solution.bound, 0.0) * unit, value))
 
     def least(self, row: np.ndarray) -> tuple[Solution, np.ndarray]:
         """Minimise row'x; the constant row'origin is not in the solution's value."""
-        found = minimise(self.basis.T @ row, self.rows, radius=self.radius)
-        return found, self.x(found.point)
+        solution = minimise(self.basis.T @ row, self.rows, radius=self.radius)
+        return solution, self.x(solution.point)
 
 
 def sets_of(

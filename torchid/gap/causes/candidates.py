@@ -40,6 +40,7 @@ from torchid.identification.knowledge import known_names
 from torchid.results.cause import LINK, When
 from torchid.robot.model import Robot
 from torchid.statistics.criteria import BODY_STD, WRONG_BODY
+from torchid.tensors import give_back_memory
 
 SLAB = 2.0
 """Standard deviation of a cause's torque before the log is seen, over the gap that it is to
@@ -122,6 +123,15 @@ class Term:
     def centre(self) -> np.ndarray:
         """(C,) where coefficients are expected."""
         return np.zeros(self.count) if self.seen is None else self.seen.value + self.low
+
+    @cached_property
+    def farthest(self) -> np.ndarray:
+        """(C,) least corrections that no arm has; -inf of what only takes away what the model has,
+        which may be gone."""
+        if self.effect is None or self.effect.inertial:
+            return np.full(self.count, -np.inf)
+        least = np.array([low for low, _ in self.effect.ranges])
+        return np.where((self.low < 0) & (least != 0), self.low, -np.inf)
 
     @property
     def common(self) -> bool:
@@ -222,9 +232,9 @@ class Library:
         made = (self.of_event(e) for e in events)
         self.terms: list[Term] = []
         self.packs: list[Pack] = []
-        # What columns of one kind were made in holds those of the next.
         for some in (self._of_joints(), self._of_the_arm(), self._bodies(), made):
             self.add(self._with_shapes(some))
+            give_back_memory()  # what columns were made in does not hold those of other kinds
 
     def add(self, terms: list[Term]) -> None:
         """Candidates that are looked at from now on."""

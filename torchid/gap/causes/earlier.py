@@ -45,6 +45,8 @@ class TwoLogs(Library):
         if wanted.free or wanted.background or wanted.knowledge is None:
             return super()._nuisance()
         made, changes = self._free(self._own), between_sessions(self.problem.robot)
+        # Friction of one session differs from that of another by itself: a column of each
+        # coefficient that is zero on the earlier log, as wide as sessions differ.
         columns, std = [made.columns], np.diagonal(made.spread).tolist()
         for effect in self._own:
             own = [changes.get(name, 0.0) for name in known_names(effect)]
@@ -72,6 +74,8 @@ class TwoLogs(Library):
         names = [name for e in self._own for name in known_names(e)]
         known = wanted.knowledge.over(names)
         change, base = np.zeros(known.root.shape[1]), list(wanted.base.by_link)
+        # Coefficients of the nuisance are base parameters first, then those of the model's own
+        # effects.
         change[[*base, *range(known.rigid, len(change))]] = fit.x[: len(base) + len(names)]
         return known.shifted(torch.from_numpy(change))
 
@@ -83,6 +87,7 @@ class TwoLogs(Library):
         columns = self.nuisance.columns / self.size[:, None]
         flat = columns.reshape(len(columns), -1)
         flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-300)
+        # Columns that others make as well have nothing on the diagonal.
         q, r = np.linalg.qr(flat.T)
         shows = np.abs(np.diagonal(r)) > 1e-8
         return q[:, shows]
@@ -105,6 +110,8 @@ class TwoLogs(Library):
         out = []
         for term in terms:
             for since in (BOTH, NEW):
+                # What happened once happened in one log; of what the model is made of only a change
+                # can be a cause.
                 once = term.effect is not None and term.effect.event
                 if since == BOTH and (once or self._is_the_models(term)):
                     continue

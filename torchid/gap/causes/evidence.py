@@ -232,24 +232,19 @@ class Evidence:
             pinned |= below
             at = np.where(pinned, low, centre)
             middle, free = in_slabs(spread, at), beside(spread, pinned)
-        return Fit(terms, samples, x, losses, known, self._allowed(terms, x, low, high, pinned))
+        return Fit(terms, samples, x, losses, known, self._allowed(terms, x, high, pinned))
 
     def _allowed(
-        self,
-        terms: Sequence[Term],
-        x: np.ndarray,
-        low: np.ndarray,
-        high: np.ndarray,
-        pinned: np.ndarray,
+        self, terms: Sequence[Term], x: np.ndarray, high: np.ndarray, pinned: np.ndarray
     ) -> bool:
         """Whether every cause is still there, and none larger than on any arm."""
         first = len(x) - sum(t.count for t in terms)
         if (x[first:] > 1.3 * high[first:]).any():
             return False
-        for t in terms:
+        for t in terms if pinned[first:].any() else ():
             own = slice(first, first + t.count)
-            # What the file has and the arm has none of is a change, and is there.
-            gone = pinned[own] & (low[own] >= 0)
+            # What the model has and the arm has none of is a change, and is there.
+            gone = pinned[own] & (t.low >= 0)
             essential = t.effect.essential if t.effect is not None else ()
             needed = list(essential) or list(range(t.count))
             if all(gone[k] for k in needed):

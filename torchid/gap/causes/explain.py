@@ -56,9 +56,12 @@ def explain(
     """
     pace = pace or Pace(None, {})
     pace("what effects do")
+    # Beside an earlier log each candidate is asked twice: whether it is new, and whether it was
+    # there already.
     kind = Library if problem.asked is None else TwoLogs
     library = kind(problem)
     search = Search(library, watch, pace)
+    # The first answer so far: the gap alone, before anything is looked for.
     search.watch(search, search.empty())
 
     def grown(fit: Fit) -> None:
@@ -76,6 +79,8 @@ def explain(
         if not pace.has_time("effects with the bodies found", stage):
             break
         pace(stage)
+        # Candidates that were made on the way, as windows of pushes are, are no part of a new
+        # library; they are handed to it, and the search begins with what was there.
         events = [t.effect for t in found.fit.terms if t.effect is not None and t.effect.event]
         library = kind(problem, events, at)
         start = [library.same(t) for t in found.fit.terms]
@@ -88,11 +93,15 @@ def explain(
     # predictor, leave of that.
     after = search.left_out(fit, np.where(library.asked, problem.folds.fold.numpy(), -1))
     before = library.rms(library.gap)
+    # What a predictor of the state foresees is no noise; without repeats all the rest is.
     share = foreseen(problem, torch.from_numpy(evidence.left(fit))).share.clamp(min=0).numpy()
     noise = np.minimum(library.noise, after)
     noise = np.where(np.isnan(noise), after * np.sqrt(1 - share), noise)
+    # Squares add up where RMS values do not, for noise and misfit are independent.
     left = np.maximum(after**2 - noise**2, 0.0)
     shares = left / np.maximum(before**2, 1e-300)
+    # Of the whole arm each joint counts in units of its torque: newtons and newton metres have no
+    # sum.
     unit = library.torque**2
     whole = float((left / unit).sum() / max((before**2 / unit).sum(), 1e-300))
     shares = np.minimum(np.append(shares, whole), 1.0)

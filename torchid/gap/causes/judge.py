@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from torchid.effects.inertia import Payload
 from torchid.effects.periodic import Cogging
 from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term, excluding
@@ -99,6 +100,8 @@ def is_one_curve(search: Search, fit: Fit, terms: Sequence[Term]) -> bool:
         )
     ]
     free = [replace(t, low=np.full(t.count, -np.inf)) for t in curve]
+    # Coefficients of the curve are free of sign and cost nothing: if it does not do as well then,
+    # it never does.
     other = evidence.fit((*excluding(fit.terms, terms), *free), fit.samples)
     samples = evidence.telling(fit, other)
     ratio = 0.5 * float((samples * np.log(fit.losses / other.losses)).sum())
@@ -115,11 +118,15 @@ def judged(
 ) -> Judged:
     """One term of an explanation."""
     evidence, library = search.evidence, search.library
+    # Without it, with as many samples: evidence is compared on one number of independent samples.
     others = excluding(fit.terms, [term])
     base = evidence.fit(others, fit.samples)
+    # Another shape of the same cause is no rival of it.
     gone = frozenset({term.key, *(t.key for t in refused)})
+    # Forms of a law stand for each other two by two; all else is tried in its place one by one.
     tried = [] if term.law is None else search.other_forms(fit, (term.law, term.since))
-    tried += [((u,), evidence.fit((*others, u), fit.samples)) for u in search.likely(base, gone)]
+    nearest = [search.beside(others, u, fit.samples) for u in search.likely(base, gone)]
+    tried += [((f.terms[-1],), f) for f in nearest]
     # Evidence is of pairs: a rival must be likelier than nothing, by what it does not explain
     # beside the term as well.
     rivals, beside = list[tuple[tuple[Term, ...], Fit]](), list[float]()
@@ -127,9 +134,13 @@ def judged(
         alone, both = evidence.over(f, base), 0.0
         if alone > STEP:
             both = max(0.0, evidence.over(evidence.fit((*fit.terms, *u), fit.samples), fit))
-        if alone > both + STEP:
+        last = len(f.terms) - 1
+        impossible = bool((f.values()[last] <= f.terms[last].farthest).any())
+        impossible |= f.terms[last].name == Payload.name and not search.is_load(f, last)
+        if alone > both + STEP and not impossible:
             rivals.append((u, f))
             beside.append(both)
+    # A log drawn without the block in which it happened would say that it is not there.
     asked = draws.as_it_is if term.rare else draws
     masses = probabilities(search, fit, [base, *(f for _, f in rivals)], asked, beside)
     own, nothing, *others_sure = masses
@@ -155,6 +166,8 @@ def judged(
             break
         members.append(pair)
         held += pair[1]
+    # Of single terms nearly as likely as the likeliest the one with fewest numbers has the name,
+    # and among those the one that the search took.
     single = [(t[0], p) for t, p in every if len(t) == 1]
     near = [(t, p) for t, p in single if p >= NEARLY * single[0][1]]
     name, sure = min(near, key=lambda pair: (pair[0].count, pair[0] is not term))
@@ -163,6 +176,8 @@ def judged(
     if term.rare:
         # What happened once, or at an end of the travel, is judged where it acts.
         left = np.full_like(left, _left_where_it_acts(search, fit, base))
+    # How much each joint tells of it, and what all that is left could make there: no cause is surer
+    # than what is left allows (`most_sure`).
     told = fit.samples * np.log(np.maximum(base.losses / fit.losses, 1.0))
     if term.place is not None:
         told = told * (np.arange(library.n) == term.place)
@@ -184,6 +199,7 @@ def _left_where_it_acts(search: Search, fit: Fit, without: Fit) -> float:
     """Share of the squares that is left of a gap where a term acts, each joint in units of what is
     left of it."""
     after, before = search.evidence.left(fit), search.evidence.left(without)
+    # A joint with little noise tells as much as one with a large torque.
     unit = np.sqrt(fit.losses)[:, None]
     acts = search.acting(fit, without)
     noise = (fit.losses / search.library.rows)[:, None] / unit**2
@@ -212,10 +228,13 @@ def probabilities(
         if not other.allowed:
             rises.append(np.full(len(drawn), -np.inf))
             continue
+        # Both are fitted with the samples that tell these two apart, for others say nothing of
+        # which of them it is.
         samples = evidence.telling(fit, other)
         mine, its = (evidence.fit(f.terms, samples) for f in (fit, other))
         a, b = (_squares(search, f, draws, share) for f in (mine, its))
         ratio = -0.5 * (samples * share * np.log(b / a)).sum(1)
+        # Prices and what was known before are paid once a log, so a drawn log pays by its length.
         paid = its.known - mine.known + evidence.price(its.terms) - evidence.price(mine.terms)
         more = beside[k - 1] if k and len(beside) else 0.0
         rises.append(ratio - drawn * (paid + more))

@@ -62,6 +62,7 @@ def foreseen(problem: Problem, left: Float[Tensor, "n N"]) -> Foreseen:
     rng = np.random.default_rng(problem.settings.seed)
     part, keep = problem.folds.parts.numpy(), problem.data.keep.numpy().astype(float)
     motions, samples = problem.given.motions, problem.data.samples
+    # The motion and the torque of the model as given, which holds no measured torque.
     q, dq, ddq = (
         samples.pick([getattr(m, k) for m in motions]).numpy() for k in ("q", "dq", "ddq")
     )
@@ -74,13 +75,17 @@ def foreseen(problem: Problem, left: Float[Tensor, "n N"]) -> Foreseen:
     for j, y in enumerate(left.numpy()):
         if not y.any():
             continue
+        # Friction turns with the sign of the speed and comes back after a reversal: both are
+        # states, as smooth steps of a width of their own.
         speed = np.tanh(dq[:, j] / (0.05 * dq[:, j].std() + 1e-9))
         turned = since_reversal(q[:, j], dq[:, j], samples.bounds)
         near = np.tanh(turned / (0.2 * np.abs(turned).std() + 1e-9))
         own = unit(np.stack([q[:, j], dq[:, j], speed, ddq[:, j], tau[:, j], turned, near], 1))
         state = np.concatenate([own, OTHERS * unit(q), OTHERS * unit(dq)], 1)
+        # Cosines of random directions stand for a Gaussian kernel of this width.
         waves = rng.normal(size=(state.shape[1], FEATURES)) * WIDTH
         x = np.cos(state @ waves + rng.uniform(0, 2 * np.pi, FEATURES))
+        # Straight lines in the state need no waves.
         x = np.concatenate([x, own], 1) * keep[j][:, None]
         for k in range(1, problem.folds.count + 1):
             # Samples at a border are of no part, and foreseen by none.
@@ -90,6 +95,7 @@ def foreseen(problem: Problem, left: Float[Tensor, "n N"]) -> Foreseen:
     told = torch.from_numpy(out)
     # Shares, and their intervals by Student's t over what each block gains.
     total = (left.square() * torch.from_numpy(part > 0)).sum(1).clamp(min=1e-300)
+    # A block gains what its squares fall by; blocks are as long as what is left is correlated.
     gains = block_sums(left.square() - (left - told).square(), problem.block).T / total
     count = len(gains)
     spread = gains.std(0) * count**0.5 if count > 1 else torch.full_like(total, torch.inf)
@@ -117,4 +123,5 @@ def noise_of_repeats(problem: Problem) -> np.ndarray:
         return nothing
     own = Samples(found, samples.cutoff)
     x = own.of([s.tau.T for s in found]).numpy()
+    # By the median: what differs between two runs for a reason, as a push does, is no noise.
     return np.sqrt(np.median(x**2, 1) / MEDIAN) if x.shape[1] > FEWEST else nothing

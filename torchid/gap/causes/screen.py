@@ -149,6 +149,8 @@ class Screen:
             without: keys that are not looked at.
         """
         of_place = Counter[object]()
+        # The likeliest ten of a joint with much friction are ten forms of one law, and a cause of
+        # another joint would never be tried.
         within, beyond = list[tuple[float, Term]](), list[tuple[float, Term]]()
         for gain, term in self.ranked(fit, samples, without):
             place = term.since, term.name if term.place is None else term.place
@@ -166,8 +168,12 @@ class Screen:
         order; arguments as for `best`."""
         evidence = self.evidence
         every = (*evidence.nuisance, *fit.terms)
+        # Evidence to first order is a ridge regression of what is left on each candidate, joints
+        # weighted by what is left on them.
         weight = samples / fit.losses
         white = evidence.white(every, weight)
+        # What a candidate has in common with the terms that are there is theirs: it is projected
+        # out.
         crosses = self.cross(every, weight) if every else []
         best: dict[object, tuple[float, Term]] = {}
         for k, stack in enumerate(self.stacks):
@@ -178,10 +184,12 @@ class Screen:
                 right = right - fit.x @ crosses[k]
                 u = white @ crosses[k]
                 g = g - (_squares(u).reshape(m, 1, 1) if c == 1 else _blocks(u, c))
+            # In units of how large a coefficient is beforehand, so that what is known adds the unit
+            # matrix.
             a = stack.spread.transpose(0, 2, 1) @ g @ stack.spread + np.eye(c)
             b = (right.reshape(m, 1, c) @ stack.spread)[:, 0]
             if c == 1:
-                # At its bound a coefficient that the file has is gone, which is a change; another
+                # At its bound a coefficient that the model has is gone, which is a change; another
                 # one is not there.
                 least = stack.low / stack.spread[:, 0]
                 z, size = np.maximum(b / a[:, 0], least), np.log(np.maximum(a[:, 0, 0], 1e-300))

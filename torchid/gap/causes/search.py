@@ -24,8 +24,12 @@ from torchid.statistics.evidence import solved
 TRIED = 10
 """Candidates that are fitted in a step."""
 
+BY_CHANCE = 3.0
+"""Standard deviations beyond which a load's number is not by chance [1]."""
+
 ONE_BODY = 0.01
-"""The same of a load and an error of its link, whose slabs differ [1]."""
+"""Share of the squares of a torque by which a load and an error of its link are the same in a log,
+for their slabs differ [1]."""
 
 FORMS = 3
 """Forms of a joint's law that are tried as the first of two, and as the second."""
@@ -105,18 +109,43 @@ class Search:
         self.screen = Screen(self.evidence)
         self.watch = watch or (lambda search, fit: None)
         self.visited: set[frozenset[int]] = set()
+        self.impossible: set[object] = set()
         self._forms_of: Fit | None = None
         self._forms: dict[object, list[tuple[tuple[Term, ...], Fit]]] = {}
         self._rises: dict[tuple[Fit, Fit], float] = {}
+        self._secants: dict[tuple[int, float], Term | None] = {}
 
     def empty(self) -> Fit:
         """What is always fitted, alone."""
+        # How many samples are independent follows from what is left, and what is left from a fit:
+        # one guess, and once more.
         first = self.evidence.fit((), np.maximum(self.library.rows / 4, 4.0))
         return self.evidence.fit((), self.evidence.independent(first))
 
     def again(self, fit: Fit) -> Fit:
         """A fit with the samples that are independent in what it leaves."""
         return self.evidence.fit(fit.terms, self.evidence.independent(fit))
+
+    def beside(self, terms: Sequence[Term], other: Term, samples: np.ndarray) -> Fit:
+        """Terms with another one, whose columns are a secant at its estimate where it has one: of a
+        change of finite size no slope tells."""
+        fit = self.evidence.fit((*terms, other), samples)
+        if other.effect is None or not other.effect.linearised or other.common:
+            return fit
+        secant = self._secant(other, float(f"{fit.values()[-1][0]:.1e}"))
+        if secant is None:
+            return fit
+        brought = self.evidence.fit((*terms, secant), samples)
+        return brought if self.evidence.value(brought) > self.evidence.value(fit) else fit
+
+    def _secant(self, term: Term, value: float) -> Term | None:
+        """A term with its columns as a secant at a value, which is the same one every time."""
+        key = term.serial, value
+        if key not in self._secants:
+            assert term.effect is not None
+            made = self.library.of_effect(term.effect.at_estimate([value]), term)
+            self._secants[key] = None if made is None else self.library.like(made, term)
+        return self._secants[key]
 
     def without(self, fit: Fit, term: Term) -> Fit:
         """A fit without a term, with as many samples."""
@@ -149,23 +178,48 @@ class Search:
             self._offer([*self.library.plays(self._open(fit)), *self._pushes(fit)])
         for _ in range(ROUNDS):
             before = {t.key for t in fit.terms}
-            fit = self.refine(self.swap(self.grow(fit)))
+            fit = self.possible(self.refine(self.swap(self.grow(fit))))
+            # Nothing joined or left: another round would try the same.
             if {t.key for t in fit.terms} == before:
                 break
         return self.worthwhile(self.as_loads(self.shrink(fit)))
 
+    def possible(self, fit: Fit) -> Fit:
+        """Without terms that are as much as no arm has, which do not come back: on its way a search
+        may lean on them for what has not joined yet."""
+        pairs = zip(fit.terms, fit.values(), strict=True)
+        beyond = [t for t, x in pairs if bool((x <= t.farthest).any())]
+        self.impossible |= {t.key for t in beyond}
+        if not beyond:
+            return fit
+        return self.shrink(self.again(self.evidence.fit(excluding(fit.terms, beyond), fit.samples)))
+
     def as_loads(self, fit: Fit) -> Fit:
-        """Errors of a link that are a load as well are told as one: nothing but the file tells
-        which they are."""
-        loads = [t for t in self.library.terms if t.name == Payload.name]
+        """Errors of a link that are a load as well are told as one, for nothing but the file tells
+        which they are; those that are no load as the link's."""
+        terms = self.library.terms
         for k, term in enumerate(fit.terms):
-            for load in (t for t in loads if same_columns(t, term) and t is not term):
-                terms = (*fit.terms[:k], load, *fit.terms[k + 1 :])
-                other = self.evidence.fit(terms, fit.samples)
-                base = self.without(fit, term)
-                if other.allowed and self.alike(other, fit, base, ONE_BODY):
-                    fit = other
+            base = self.without(fit, term)
+            for other in (t for t in terms if same_columns(t, term) and t.name != term.name):
+                then = self.evidence.fit((*fit.terms[:k], other, *fit.terms[k + 1 :]), fit.samples)
+                load = then if other.name == Payload.name else fit
+                better = self.is_load(load, k) == (load is then)
+                if better and then.allowed and self.alike(then, fit, base, ONE_BODY):
+                    fit = then
+                    break
         return fit
+
+    def is_load(self, fit: Fit, k: int) -> bool:
+        """Whether the k-th term's ten numbers may be a load's: its centre is within the arm's reach
+        of the tool, or its mass is not known well enough to tell."""
+        evidence = self.evidence
+        every = (*evidence.nuisance, *fit.terms)
+        first = sum(t.count for t in every) - sum(t.count for t in fit.terms[k:])
+        white = evidence.white(every, fit.samples / fit.losses)[:, first : first + 4]
+        std = BY_CHANCE * np.sqrt((white**2).sum(0))
+        mass, *moment = fit.values()[k][:4]
+        least = np.linalg.norm(moment) - np.linalg.norm(std[1:])
+        return bool(least <= (max(mass, 0.0) + std[0]) * self.library.scale.length)
 
     # ------------------------------------------------------------------ steps
 
@@ -173,7 +227,7 @@ class Search:
         """Candidates beside a fit that are looked at closely: the most likely if all samples are
         independent, and if as many are as in noise like what is left."""
         ranked = [
-            self.screen.best(fit, samples, TRIED, without)
+            self.screen.best(fit, samples, TRIED, without | self.impossible)
             for samples in (self.library.rows, self.evidence.independent(fit))
         ]
         found = {t.serial: t for some in ranked for _, t in some}
@@ -219,7 +273,7 @@ class Search:
         while len(fit.terms) < self.library.problem.settings.max_effects:
             if not self.pace.has_time("further causes"):
                 return fit
-            tried = [self.evidence.fit((*fit.terms, t), fit.samples) for t in self.likely(fit)]
+            tried = [self.beside(fit.terms, t, fit.samples) for t in self.likely(fit)]
             step = self._better(tried, fit, STEP) or self._better(
                 self._pairs(tried, fit), fit, STEP
             )
@@ -235,8 +289,10 @@ class Search:
         likely = sorted(tried, key=lambda f: -self._rise(f, now))[:SEEDS]
         out = []
         for one in (f for f in likely if f.allowed):
+            # Seen with all samples as independent, and with as few as what is left allows: the
+            # order of candidates differs.
             for samples in (self.library.rows, self.evidence.independent(one)):
-                for _, other in self.screen.best(one, samples, SEEDS):
+                for _, other in self.screen.best(one, samples, SEEDS, frozenset(self.impossible)):
                     out.append(self.evidence.fit((*one.terms, other), now.samples))
         return out
 
@@ -263,6 +319,8 @@ class Search:
                 base = self.evidence.fit(then.terms[:-1], fit.samples)
                 if self.evidence.over(then, base) > 0:
                     break
+                # A better pair with something else is no reason to take what alone is unlikelier
+                # than nothing.
                 tried = [f for f in tried if f is not then]
                 step = self._better(tried, fit, STEP)
             if step is None:
@@ -307,7 +365,7 @@ class Search:
         for t in fit.terms:
             base = self.without(fit, t)
             for other in (u for u in self.likely(base) if u is not t):
-                then = self.evidence.fit((*base.terms, other), fit.samples)
+                then = self.beside(base.terms, other, fit.samples)
                 every.append((self.evidence.value(then), then, base, other.count >= t.count))
         values = sorted((value for value, *_ in every), reverse=True)
         least = values[EXCHANGED - 1] if len(values) > EXCHANGED else -np.inf
@@ -439,6 +497,7 @@ class Search:
             ]
             if min(worth) >= 1:
                 break
+            # One at a time: what was worthless beside it may be worth a name once it is gone.
             small.append(fit.terms[int(np.argmin(worth))])
             fit = self.again(self.without(fit, small[-1]))
         return Found(fit, tuple(small))
@@ -455,6 +514,8 @@ class Search:
         if not evidence.nuisance:
             return 0.0
         rest = self.without(fit, term)
+        # The corrections that replace it are as likely beforehand as the term: then they are what
+        # is there.
         if rest.known - fit.known <= evidence.price([term]):
             return 0.0
         own = evidence.nuisance[0]
@@ -474,6 +535,8 @@ class Search:
         library, settings = self.library, self.library.problem.settings
         size = settings.worthwhile_torque * library.torque
         least = np.maximum(settings.worthwhile * error, 0.5 * size**2 / np.maximum(error, 1e-300))
+        # Squares that the model left on its own log nobody knows the cause of; a fall within them
+        # is none.
         beyond = error**2 - share * library.unexplained**2
         by = np.where(beyond > 0, error - np.sqrt(np.maximum(beyond, 0.0)), error)
         return np.maximum(np.maximum(least, by), 1e-300)

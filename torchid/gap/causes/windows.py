@@ -50,6 +50,7 @@ class Windows:
             return (*effect.identity, getattr(effect, "side", ""))
         place = effect.tip, effect.along
         start, stop = (float(t) for t in (effect.start or 0.0, effect.stop or 0.0))
+        # Windows that overlap are of one push, whichever length fits it best.
         for k, (where, a, b) in enumerate(self._found):
             if where == place and start < b and a < stop:
                 return (effect.name, k)

@@ -72,6 +72,8 @@ class Claim:
     def in_set(self) -> tuple[Term, ...]:
         """Rivals of the smallest set that holds `SET_MASS` of what is in this place, the cause
         among it; the likeliest first."""
+        # What is in this place is the whole: a set is to hold so much of it, not of all that may
+        # be.
         held, out = self.alone_sure, list[Term]()
         for other, mass in sorted(self.others, key=lambda pair: -pair[1]):
             if held >= SET_MASS * self.set_sure:
@@ -105,6 +107,7 @@ class Claim:
         """Names of the others of its set, the same effect elsewhere with the number of its joint or
         link; at the end of a shape's range at least the best other, for what lies beyond nobody has
         looked at."""
+        # A shape at the end of its range has become another effect, which nobody has tried.
         some = self.in_set
         if self.at_an_end and not some:
             some = tuple(t for t, _ in self.others[:1])
@@ -183,6 +186,7 @@ def with_a_name(claims: Sequence[Claim], shares: Sequence[float]) -> list[bool]:
     for k, one in enumerate(claims):
         if one.law is not None and one.law_sure >= LIKELY:
             laws.setdefault(one.law, []).append(k)
+    # A law that is there for sure has a name, though which of its forms it is nobody knows.
     for numbers in laws.values():
         if not any(out[k] for k in numbers):
             out[max(numbers, key=lambda k: shares[k])] = True

@@ -1,6 +1,7 @@
 """The answer of a diagnosis as a page shows it: causes at their joints, what to do first."""
 
 import math
+import shlex
 from collections.abc import Sequence
 
 from msgspec import UNSET
@@ -49,18 +50,18 @@ def _acts(same: Sequence[Cause], joint: int) -> bool:
     return any(joint in c.at or not c.at for c in same)
 
 
-def first_steps(answer: Answer) -> list[str]:
+def first_steps(answer: Answer, robot: str = "ROBOT") -> list[str]:
     """What to do first: remedies of the causes that remove most, where data that were not fitted
     confirm them, behind what would settle a suspect that removes more than all of them; else the
     doubt, what would settle suspects, or the motion that would decide; nothing while the search
-    goes on."""
+    goes on. `robot` is what a command line calls it, where a JSON holds none."""
     if answer.status == "searching":
         return []
     if not answer.confirmed:
-        return _to_decide(answer)
-    same: dict[str, list[Cause]] = {}
+        return _to_decide(answer, robot)
+    same: dict[tuple[str, bool], list[Cause]] = {}
     for cause in answer.entries:
-        same.setdefault(cause.remedy, []).append(cause)
+        same.setdefault((cause.remedy, cause.no_field), []).append(cause)
     main, add = answer.main_suspect, not answer.of_positions
     steps = [] if main is None else [_to_settle(main)]
 
@@ -85,7 +86,7 @@ def first_steps(answer: Answer) -> list[str]:
     return steps[:MOST_ADVICE]
 
 
-def _to_decide(answer: Answer) -> list[str]:
+def _to_decide(answer: Answer, robot: str) -> list[str]:
     """What to do while nothing is confirmed."""
     if answer.doubt:
         return [
@@ -100,7 +101,7 @@ def _to_decide(answer: Answer) -> list[str]:
         # What happened once no other motion confirms.
         events = [c for c in answer.causes if c.window is not UNSET]
         names = listed(dict.fromkeys(c.name for c in events))
-        robot = "ROBOT " * answer.of_positions  # whose JSON holds none
+        robot = f"{shlex.quote(robot)} " * answer.of_positions  # whose JSON holds none
         return [f"cut out what happened once ({names}), {cut_line(events)}."] * bool(events) + [
             "record other motions and hold one out (--held-out): these logs confirm no cause. "
             f"`torchid excite {robot}--for gap.json --max-acceleration 5 --out next` plans one."

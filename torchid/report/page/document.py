@@ -110,8 +110,8 @@ def render(page: Page) -> str:
 @cache
 def _plotly() -> tuple[str, str] | None:
     """plotly's script, and the same compressed, as base64; None where it is not installed."""
-    found = find_spec("plotly")
-    for place in (found.submodule_search_locations or []) if found is not None else []:
+    plotly = find_spec("plotly")
+    for place in (plotly.submodule_search_locations or []) if plotly is not None else []:
         file = Path(place) / "package_data" / "plotly.min.js"
         if file.is_file():
             text = file.read_text(encoding="utf-8")
@@ -220,17 +220,17 @@ def input_files(named: Iterable[tuple[str, str, Path]]) -> tuple[InputFile, ...]
 
 def versions() -> tuple[tuple[str, str], ...]:
     """torchid, Python, torch, other packages that the numbers depend on, and the machine's kind."""
-    found = [
+    installed = [
         ("torchid", torchid.__version__),
         ("Python", platform.python_version()),
         ("torch", torch.__version__),
     ]
     for name in _PACKAGES:
         try:
-            found.append((name, version(name)))
+            installed.append((name, version(name)))
         except PackageNotFoundError:
             continue
-    return (*found, ("system", f"{platform.system()} {platform.machine()}"))
+    return (*installed, ("system", f"{platform.system()} {platform.machine()}"))
 
 
 THEME = {
@@ -292,7 +292,7 @@ def inline_svg(picture: Picture) -> str:
 def _prefix(root: Any, name: str) -> None:
     """Ids that are referred to, unique on the page; the others go."""
     values = [value for e in root.iter() for value in e.attrib.values()]
-    used = {found for value in values for found in _REFERENCE.findall(value)}
+    used = {reference for value in values for reference in _REFERENCE.findall(value)}
     used |= {e.get(_HREF)[1:] for e in root.iter() if e.get(_HREF, "").startswith("#")}
     short = {own: f"{name}-{k}" for k, own in enumerate(sorted(used))}
     for element in root.iter():
@@ -328,9 +328,9 @@ def _themed(element: Any) -> None:
                 element.set(key, _rounded(element.get(key)))
 
 
-def _font(found: re.Match[str]) -> str:
-    weight = f";font-weight:{found[1].strip()}" if found[1] else ""
-    return f"font-size:{found[2]}{weight}"
+def _font(match: re.Match[str]) -> str:
+    weight = f";font-weight:{match[1].strip()}" if match[1] else ""
+    return f"font-size:{match[2]}{weight}"
 
 
 def _rounded(text: str) -> str:

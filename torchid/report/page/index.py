@@ -56,9 +56,9 @@ def entries(folder: Path) -> list[Entry]:
     return listed
 
 
-def report_of_folder(folder: Path, found: Sequence[Entry]) -> Report:
+def report_of_folder(folder: Path, results: Sequence[Entry]) -> Report:
     """The results below a folder, on the terminal."""
-    rows = [(str(e.file.relative_to(folder)), e.headline) for e in found]
+    rows = [(str(e.file.relative_to(folder)), e.headline) for e in results]
     table = Table(f"results below {folder}", ("result", "answer"), rows, "pp")
     return Report(verdict=f"{count(len(rows), 'result')} below {folder}.", parts=[table])
 

@@ -32,7 +32,7 @@ class Played:
 
     @property
     def step(self) -> float:
-        """Of the physics [s]."""
+        """Step of the physics [s]."""
         return self.dt / self.steps
 
     @classmethod

@@ -93,10 +93,10 @@ def rows(what: Dynamics, motion: Played, measured: np.ndarray) -> Iterator[str]:
                     what, to, folder, "arm", nominal=what.robot, geometry="none", plain=True
                 )  # type: ignore[arg-type]
             promised, expected = played("mujoco")
-            found, moved = played(target)
+            torque, moved = played(target)
             apart = size * np.abs(moved - expected).max()
             run = "its fields alone" if not beside else "all of it at run time"
-            yield f"| {what.robot.name} | {target} | {run} | {promised} | {found} | {apart:.2g} {unit} |"
+            yield f"| {what.robot.name} | {target} | {run} | {promised} | {torque} | {apart:.2g} {unit} |"
 
 
 def main(

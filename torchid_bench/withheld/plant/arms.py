@@ -52,7 +52,7 @@ class Joint:
     free_speed: float | None = None
 
     def inertial(self) -> Inertial:
-        """Of the link."""
+        """Mass, centre and inertia of the link."""
         return combined([solid.inertial() for solid in self.solids])
 
 
@@ -125,10 +125,10 @@ def _fixed(value: Any) -> Any:
 
 def _read(file: str) -> dict[str, Arm]:
     """The arms of a file beside this one."""
-    found = _fixed(parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8")))
+    parsed = _fixed(parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8")))
     return {
         name: Arm(name, tuple(_joint(**joint) for joint in own.pop("joints")), **own)
-        for name, own in found.items()
+        for name, own in parsed.items()
     }
 
 

@@ -35,7 +35,7 @@ class Cylinder:
     axis: str = "z"
 
     def inertial(self) -> Inertial:
-        """Its mass, centre and inertia."""
+        """Mass, centre and inertia of the cylinder."""
         mass = self.density * np.pi * self.radius**2 * self.length
         across = mass * (self.radius**2 / 4 + self.length**2 / 12)
         diagonal = np.full(3, across)
@@ -52,7 +52,7 @@ class Box:
     centre: tuple[float, float, float]
 
     def inertial(self) -> Inertial:
-        """Its mass, centre and inertia."""
+        """Mass, centre and inertia of the box."""
         x, y, z = self.sizes
         mass = self.density * x * y * z
         diagonal = np.array([y * y + z * z, x * x + z * z, x * x + y * y]) * mass / 12

@@ -114,26 +114,26 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
     # Effects are placed and sized one after the other, each alone on the arm.
     rng = np.random.default_rng([spec.seed, spec.number, 2])
     scene = servo_scene(spec, rng)
-    plan, found, count = scene.plan, scene.base, scene.servos.count
+    plan, moved, count = scene.plan, scene.base, scene.servos.count
     effects: list[dict[str, Any]] = []
     taken: tuple[int, ...] = ()
     for one in spec.effects:
         effect = placed_effect(scene, one.name, rng, taken)
         taken += effect.joints
-        scale, rms, found = visible_effect(scene, effect)
+        scale, rms, moved = visible_effect(scene, effect)
         plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
         felt = rms > max(MOVED * rms.max(), count / 2)
         # Of the largest change, over what an encoder rounds to.
         size = float(rms.max() / (count / np.sqrt(12)))
         effects.append(_record(SERVO_KINDS, effect, felt, own, size))
     if len(effects) > 1:
-        found = led_motions(scene, plan)
+        moved = led_motions(scene, plan)
     # What the bus carries: commands, and positions in counts.
     n, rows = scene.arm.n, [len(u) for u in scene.commands]
     columns = {
         "t": np.concatenate([np.arange(k) / spec.rate_hz for k in rows]),
         **{f"u{j + 1}": np.concatenate([u[:, j] for u in scene.commands]) for j in range(n)},
-        **{f"q{j + 1}": np.concatenate([m.logged[:, j] for m in found]) for j in range(n)},
+        **{f"q{j + 1}": np.concatenate([m.logged[:, j] for m in moved]) for j in range(n)},
         "traj": np.repeat(np.arange(len(rows)), rows),
     }
     values = {name: scene.of(name).tolist() for name in scene.servos.values}
@@ -154,7 +154,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     nominal, base = nominal_of(arm, *known), Plan(plant_of(arm, *known), *known)
     controllers = spec.bandwidth_hz, spec.damping_ratio
     scene = scene_of(arm, nominal, spec.motion, spec.noise_share, *controllers)
-    found = [
+    logs = [
         sized(scene, base, nominal, effect, spec.level or DRAWS.level) for effect in spec.effects
     ]
     if spec.poor:
@@ -162,18 +162,18 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     if fresh:
         scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
     plan, parameters = base, []
-    for effect, one in zip(spec.effects, found, strict=True):
+    for effect, one in zip(spec.effects, logs, strict=True):
         plan, own = with_effect(scene, plan, effect, one.scale)
         parameters.append(own)
     nominal = replace(nominal, damping=plan.known_damping, friction=plan.known_friction)
     traces = simulated(scene, plan, nominal, FINE)
     left = gaps(plan, nominal, traces)
-    sizes = [one.size for one in found]
+    sizes = [one.size for one in logs]
     if len(sizes) == 1:
         sizes = [rms(left) / scene.noise]
     elif spec.poor:
         # Of each effect alone on the case's motion.
-        for k, (effect, one) in enumerate(zip(spec.effects, found, strict=True)):
+        for k, (effect, one) in enumerate(zip(spec.effects, logs, strict=True)):
             alone, _ = with_effect(scene, base, effect, one.scale)
             own_nominal = nominal_of(arm, alone.known_damping, alone.known_friction)
             moved = simulated(scene, alone, own_nominal, FINE * 2)

@@ -145,8 +145,8 @@ def _kind(plant: str, **given: Any) -> Kind:
 
 def read_catalogue(file: str) -> dict[str, dict[str, Any]]:
     """What a catalogue beside this file says of each effect, as fields of a Kind."""
-    found = parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8"))
-    return {name: {**own, "akin": tuple(own.get("akin", ()))} for name, own in found.items()}
+    parsed = parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8"))
+    return {name: {**own, "akin": tuple(own.get("akin", ()))} for name, own in parsed.items()}
 
 
 KINDS: dict[str, Kind] = {

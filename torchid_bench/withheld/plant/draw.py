@@ -197,10 +197,10 @@ def draw_case(
         raise TorchidError(f"unknown mix of cases '{mix}'.", available=list(MIXES))
     own = MIXES[mix]
     # The kind, and how many cases of it came before.
-    found = [kind_named(name, own.effects) for name in effects or ()]
+    kinds = [kind_named(name, own.effects) for name in effects or ()]
     if kind is None and effects is not None:
-        kind = ("none", "single", "several")[min(len(found), 2)]
-        kind = "outside" if any(f.family == OUTSIDE for f in found) else kind
+        kind = ("none", "single", "several")[min(len(kinds), 2)]
+        kind = "outside" if any(f.family == OUTSIDE for f in kinds) else kind
     kind = kind or in_turn(seed, number, own.block, 101)
     if kind not in own.block:
         raise TorchidError(f"unknown kind of case '{kind}'.", available=sorted(set(own.block)))
@@ -324,14 +324,14 @@ def in_turn(seed: int, turn: int, names: Sequence[Item], salt: int) -> Item:
 def _effects(rng: Rng, kind: str, arm: Arm, wanted: Sequence[str] | None) -> tuple[EffectSpec, ...]:
     n = arm.n
     if wanted is not None:
-        found = _apart(rng, wanted, arm)
-        if found is None:
+        drawn = _apart(rng, wanted, arm)
+        if drawn is None:
             raise TorchidError(
                 "these effects cannot be on one arm: each needs joints of its own.",
                 got=list(wanted),
                 hint="an arm with more joints",
             )
-        return found
+        return drawn
     if kind == "parameters":
         links = tuple(range(n))
         return (EffectSpec("link_inertia", links, KINDS["link_inertia"].draws(rng, n, links)),)
@@ -345,9 +345,9 @@ def _effects(rng: Rng, kind: str, arm: Arm, wanted: Sequence[str] | None) -> tup
         count = 2 if rng.random() < DRAWS.pairs else 3
         while True:
             names = [str(x) for x in rng.choice(_SEVERAL, count, replace=False)]
-            found = _apart(rng, names, arm)
-            if found is not None:
-                return found
+            drawn = _apart(rng, names, arm)
+            if drawn is not None:
+                return drawn
     return (drawn_effect(rng, str(rng.choice(LIBRARY)), arm),)
 
 

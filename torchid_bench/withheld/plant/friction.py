@@ -159,7 +159,8 @@ def thermal(scene: Scene, plan: Plan, effect: EffectSpec, s: float) -> Planted:
 
 
 def wave_number(scene: Scene, joint: int, hertz: float) -> float:
-    """Of a ripple that is so many Hz at the joint's fast speed: an integer, 3 at least."""
+    """Waves a turn of a ripple that is so many Hz at the joint's fast speed: an integer, 3 at
+    least."""
     return float(max(3, round(2 * np.pi * hertz / max(float(scene.speed[joint]), 1e-3))))
 
 
@@ -182,7 +183,7 @@ def replacing(plan: Plan, joint: int) -> Plan:
 
 
 def _deflection(scene: Scene, effect: EffectSpec, torque: float) -> float:
-    """Of stiff bristles [rad]: as drawn, but not stiffer than a step can follow."""
+    """Deflection of stiff bristles [rad]: as drawn, but not stiffer than a step can follow."""
     softest = torque * (5e-4) ** 2 / (0.3 * float(scene.inertia[effect.joints[0], 0]))
     return max(effect.draws["deflection"], softest)
 

@@ -35,7 +35,7 @@ class ServoScene:
 
     @property
     def servos(self) -> Servos:
-        """Of the arm without effects."""
+        """Servos of the arm without effects."""
         assert self.plan.servos is not None
         return self.plan.servos
 

@@ -11,7 +11,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class DrawSettings:
-    """Of arms whose controllers are told torques, and of arms of servos.
+    """How cases are drawn, of arms whose controllers are told torques and of arms of servos.
 
     Attributes:
         level: size of an effect, in standard deviations of the torque noise.

@@ -76,14 +76,14 @@ def count_different(values: Float[Tensor, " R"]) -> int:
 
 def phi_min(study: Study, result: ScenarioResult) -> float:
     """The least loss of any feasible set in a scenario's bounds; nan without a certificate."""
-    found = study.certificates.get(result.scenario.bounds)
-    return math.nan if found is None else found.phi_min
+    certificate = study.certificates.get(result.scenario.bounds)
+    return math.nan if certificate is None else certificate.phi_min
 
 
 def contradictions(study: Study, bounds: str) -> tuple[str, ...]:
     """Conditions that a group of bounds leaves no room for."""
-    found = [s.extraction.contradictions for s in study.scenarios if s.scenario.bounds == bounds]
-    return tuple(dict.fromkeys(name for names in found for name in names))
+    each = [s.extraction.contradictions for s in study.scenarios if s.scenario.bounds == bounds]
+    return tuple(dict.fromkeys(name for names in each for name in names))
 
 
 def rms(signal: Float[Tensor, "*batch T n"]) -> Float[Tensor, "*batch n"]:
@@ -100,12 +100,12 @@ def torque_errors(sets: SetsOnMotion) -> tuple[Float[Tensor, "K n"], Float[Tenso
 def validation_torques(study: Study) -> tuple[Tensor, Tensor, Tensor]:
     """(T, n) torques on the validation's motion [N m; N]: of the identified coefficients, of the
     coefficients reconstructed from the true parameters, and of the true parameters."""
-    log, found = study.validation, study.identification
+    log, model = study.validation, study.identification
     assert log.dq is not None
     assert log.ddq is not None
     assert log.tau is not None
     state = (log.q, log.dq, log.ddq)
-    return found.predict(*state), replace(found, values=study.truth).predict(*state), log.tau
+    return model.predict(*state), replace(model, values=study.truth).predict(*state), log.tau
 
 
 def payload_quantities(study: Study) -> list[tuple[str, str, float, float, float, float]]:
@@ -184,24 +184,24 @@ def _class(study: Study, e: EffectSize) -> str:
     low, high = e.ratio.low, e.ratio.high
     classes, few = run_classes(study), []
     for name in (e.first, e.second):
-        rows = [k for k, found in enumerate(classes) if found == name]
+        rows = [k for k, own_class in enumerate(classes) if own_class == name]
         distinct = count_different(study.errors.force_rms[rows].amax(-1))
         few += [f"{distinct} different among '{name}'"] if distinct < LEAST_CLUSTERS else []
     if few:
-        told = f"not judged: only {listed(few)}"
+        why = f"not judged: only {listed(few)}"
     elif math.isnan(low):
-        told = "no interval can be given"
+        why = "no interval can be given"
     elif low > 1:
-        told = "larger"
+        why = "larger"
     elif high < 1:
-        told = "smaller"
+        why = "smaller"
     else:
-        told = "not distinguished"
+        why = "not distinguished"
     interval = "" if math.isnan(low) else f", 95 % interval {number(low)} to {number(high)}"
     return (
         f"Internal forces: the errors of the {e.sets[0]} '{e.first}' sets are "
         f"{number(e.ratio.value)} times those of the {e.sets[1]} '{e.second}' ones "
-        f"({told}{interval})."
+        f"({why}{interval})."
     )
 
 

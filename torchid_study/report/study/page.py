@@ -39,8 +39,8 @@ def report_of_study(study: Study) -> Report:
 
 def identification_table(study: Study) -> Table:
     """Tables A.1 to A.4: coefficient, estimated, real, error."""
-    found = study.identification
-    values = zip(found.base.names, found.base.units, found.values, study.truth, strict=True)
+    model = study.identification
+    values = zip(model.base.names, model.base.units, model.values, study.truth, strict=True)
     rows = [
         (name, unit, f"{float(value):.6g}", f"{float(true):.6g}", number(float(value - true)))
         for name, unit, value, true in values
@@ -148,15 +148,16 @@ def set_wrench_table(study: Study) -> Table:
 
 def run_table(study: Study) -> Table:
     """Force errors of all runs by class, against feasible ones, then by each reason."""
-    found = study.comparison
+    comparison = study.comparison
+    every, infeasible = comparison.correlation, comparison.correlation_infeasible
     ranked = {
-        count(found.correlation.sets, "set"): found.correlation,
-        f"the {found.correlation_infeasible.sets} infeasible ones": found.correlation_infeasible,
+        count(every.sets, "set"): every,
+        f"the {infeasible.sets} infeasible ones": infeasible,
     }
     rho = [f"{c.rho} over {what}" for what, c in ranked.items() if c.rho.value == c.rho.value]
     said = f"Rank correlation of degree and error: {listed(rho)}. " if rho else ""
     return class_table(
-        found,
+        comparison,
         "force error of all runs by the kind of their reasons, largest joint [N]",
         f"{said}A ratio of 1 and a delta of 0 are no difference; in brackets 95 % bootstrap "
         "intervals that take every run for its own unit: they are too narrow where many runs have "
@@ -231,7 +232,7 @@ def study_page(study: Study, origin: Origin) -> Page:
     pictures = drawings(study)
     good = len(by_feasibility(study, True))
     runs = torch.cat([s.feasibility.feasible for s in study.scenarios])
-    told = [s for s in verdict(study) if not s.startswith("Noticed:")]
+    sentences = [s for s in verdict(study) if not s.startswith("Noticed:")]
     return Page(
         f"{study.settings.title} (section {study.settings.section})",
         page_verdict(study),
@@ -243,7 +244,7 @@ def study_page(study: Study, origin: Origin) -> Page:
         ),
         origin,
         sections=[
-            Section("Findings", [told], folded=False),
+            Section("Findings", [sentences], folded=False),
             *(
                 Section(
                     title,
@@ -266,19 +267,19 @@ def seeds_and_settings(study: Study) -> dict[str, dict[str, Any]]:
     }  # fmt: skip
     parts: dict[str, Any] = {"search": s.search} | motions
     seeds = {f"seed of the {name}": part.seed for name, part in parts.items()}
-    told: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "effects": s.effects,
         "geometry": s.geometry,
         "total mass [kg]": s.total_mass,
     }
     for name, part in parts.items():
-        told[name] = {key: value for key, value in asdict(part).items() if key != "seed"}
+        settings[name] = {key: value for key, value in asdict(part).items() if key != "seed"}
     size = study.scenarios[0].extraction.problem.size
-    told["search"] |= {
+    settings["search"] |= {
         "variables": size,
         "population": s.search.population or default_population(size),
     }
-    return {"seeds": seeds, "settings": told | {"seconds": dict(study.seconds)}}
+    return {"seeds": seeds, "settings": settings | {"seconds": dict(study.seconds)}}
 
 
 def page_verdict(study: Study) -> str:
