@@ -183,12 +183,10 @@ def compared(
     else:
         found = of_diagnoses({r.label: r.record for r in results})
     torque, notes = None, list(found.notes)
-    if kind == "position diagnoses":
-        pass
-    elif robot is not None and found.models:
+    if robot is not None and found.models:
         motion = common_motion(robot, on, seed, found.cutoff, found.reversal)
         torque = torque_spread(found.models, motion, found.claims)
-    else:
+    elif kind != "position diagnoses":
         notes.append(
             "no torque: the models were not recorded; `robot=...` names the robot of "
             "identifications, and torchid gap records a corrected model"
@@ -212,9 +210,9 @@ def _random_effects(found: Estimates) -> tuple[ComparedParameter, ...]:
     as logarithms, judged there and told as values."""
     if not found.named:
         return ()
-    # 1e-9: standard deviation that a value has at least, as a share of the largest
     logs = torch.zeros(len(found.named), dtype=torch.bool) if found.logs is None else found.logs
     size = torch.where(logs[:, None], 1.0, found.values.abs())
+    # 1e-9: standard deviation that a value has at least, as a share of the largest
     least = 1e-9 * size.nan_to_num().amax(1, keepdim=True).clamp(min=1e-100)
     std = torch.maximum(found.std, least)
     data = Sessions(found.values, std.square(), torch.arange(std.shape[1]))

@@ -35,7 +35,7 @@ from torchid.results.cause import Cause
 from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import body_near, windows_of
 from torchid.statistics.criteria import LIKELY
-from torchid.typing import Float, Tensor
+from torchid.typing import Bool, Float, Tensor
 
 LATE = INDEX["delay"]
 DELAY = next(effect for effect in KEPT if "delay" in effect.parameters)
@@ -101,8 +101,9 @@ class _Side:
             values = other.model.servos.joint.clone()
             values[:, LATE] += 0.5 * (motions.data.held - other.motions.data.held)
             theirs = ServoModel(replace(model.servos, joint=values), {})
-            here = (torch.arange(model.servos.n)[:, None] == torch.tensor(cause.joints)).any(1)
-            model = model.joined(theirs, here, BY_NAME[cause.effect].parameters)
+            model = model.joined(
+                theirs, _places(cause, model.servos.n), BY_NAME[cause.effect].parameters
+            )
         else:  # what the whole arm carries or touches
             data, robot = motions.data, other.motions.data.robot
             body = body_near(robot, data.q, data.dq, data.link).midway(data.tracks.last)
@@ -111,8 +112,13 @@ class _Side:
             model = replace(model, servos=servos, plane=False)
         told = fall.told(model.fitted(motions, 8, plane=True).losses(motions))
         at = list(cause.joints) or slice(None)
-        paid = fall.price + 0.5 * len(cause.parameters) * math.log(float(fall.samples[at].sum()))
+        paid = fall.price + fall.paid(len(cause.parameters), at)
         return max(0.0, float(told[at].sum())), paid
+
+
+def _places(cause: PositionFinding, n: int) -> Bool[Tensor, " n"]:
+    """Joints (n,) that a cause is on."""
+    return (torch.arange(n)[:, None] == torch.tensor(cause.joints)).any(1)
 
 
 def _new(sides: Sides, arm: ServoArm) -> Iterator[OneSided]:
@@ -124,7 +130,7 @@ def _new(sides: Sides, arm: ServoArm) -> Iterator[OneSided]:
     values = first.servos.joint.clone()
     values[:, LATE] = arm.servos.joint[:, LATE] + 0.5 * second.data.held
     for cause in named:
-        here = (torch.arange(len(values))[:, None] == torch.tensor(cause.joints)).any(1)
+        here = _places(cause, len(values))
         names = BY_NAME[cause.effect].parameters if cause.joints else ()
         mine = mine.freed(names, here)
         for k in (INDEX[name] for name in names):
@@ -161,9 +167,7 @@ def numbers_of(sides: Sides, new: Sequence[OneSided]) -> Iterator[ServoDifferenc
     common factor of all torques open, torques are compared as shares of kp."""
     moves = ~torch.stack([side.still for side in sides]).any(0)
     ratio = torch.stack([side.ratio_only for side in sides]).any(0)
-    differs = {
-        (p, j) for one in new for p in BY_NAME.get(one.effect, DELAY).parameters for j in one.joints
-    }
+    differs = {(p, j) for one in new for j in one.joints for p in BY_NAME[one.effect].parameters}
     for j in moves.nonzero().flatten().tolist():
         for p in PARAMETERS:
             shared = bool(ratio[j]) and p.name in TORQUES and p.name != "kp"

@@ -166,7 +166,7 @@ def best_answer(
             several = _no_worse(few, begun, several)
             several = _no_worse(few, single.model, several)
             single = replace(single, model=with_usual_effects(few, several))
-            loaded = with_load(few, single.model) if file is None and few.data.weighed else None
+            loaded = with_load(few, single.model) if file is None else None
     pace("what each effect is worth")
     motions, model = few, settled(few, single.model)
     worth, rivals = Worth(), Rivals()
@@ -286,8 +286,7 @@ def _paid(least: LeastFall, causes: Collection[tuple[str, int | None]]) -> float
     out = least.price * len({("" if name in gains else name, j) for name, j in causes})
     for name, j in causes:
         numbers = 4 if name == PAYLOAD.name else len(BY_NAME[name].parameters or PLANE)
-        samples = float(least.samples[slice(None) if j is None else j].sum())
-        out += 0.5 * numbers * math.log(samples)
+        out += least.paid(numbers, slice(None) if j is None else j)
     return out
 
 
@@ -327,7 +326,7 @@ def _or_a_load(
     """A load with single effects beside it, where that explains the motions better than single
     effects alone; and names of what explains them as well."""
     enough = bool((simple.losses(few) <= few.slight).all())
-    load = None if enough or not few.data.weighed else with_load(few, simple)
+    load = None if enough else with_load(few, simple)
     if load is None:
         return None, single, ()
     # One cause of what all joints show, where no more is needed, comes before several.

@@ -53,6 +53,11 @@ def samples_of(
     return motions.windows.rows / times.clamp(min=1.0)
 
 
+def price_beside(motions: Motions) -> float:
+    """What looking for a cause on all joints that move costs [nats]."""
+    return price_of(len(EFFECTS) * int((~motions.data.still).sum()))
+
+
 @dataclass(frozen=True, eq=False)
 class LeastFall:
     """Fall of losses from which a cause is likelier than none, where servos explain the rest.
@@ -73,15 +78,17 @@ class LeastFall:
     def beside(cls, motions: Motions, servos: Servos) -> "LeastFall":
         """Where these servos are the better explanation."""
         residual, windows = errors_of_one(motions.data, servos, motions.windows), motions.windows
-        left = loss(residual[..., None], windows)[:, 0]
-        floor = motions.slight
+        left, floor = loss(residual[..., None], windows)[:, 0], motions.slight
         samples = samples_of(motions, floor, left, alike_rows(residual, windows))
-        price = price_of(len(EFFECTS) * int((~motions.data.still).sum()))
-        return cls(left, floor, samples.clamp(min=2.0), price)
+        return cls(left, floor, samples.clamp(min=2.0), price_beside(motions))
 
     def told(self, losses: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Nats by which the log is less likely with servos that leave these losses [rad^2]."""
         return 0.5 * self.samples * ((losses + self.floor) / (self.left + self.floor)).log()
+
+    def paid(self, numbers: int, at: int | slice | list[int]) -> float:
+        """What numbers of a cause on some joints cost, as much as samples tell of them [nats]."""
+        return 0.5 * numbers * math.log(float(self.samples[at].sum()))
 
     def of(self, numbers: float | Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """Of a cause with so many numbers [rad^2]: each costs as much as samples tell of it."""
@@ -141,7 +148,7 @@ class Evidence:
         drawn = [draws.sums(x.T) + floor * share[:, None] for x in (before, after)]
         told = (drawn[0].clamp(min=1e-300) / drawn[1].clamp(min=1e-300)).log()
         ratio = (0.5 * samples * share[:, None] * told).sum(1)
-        paid = price_of(len(EFFECTS) * int((~self.motions.data.still).sum())) / joints
+        paid = price_beside(self.motions) / joints
         paid += self.cost(effect, joint, float(samples.sum()), numbers)
         # A log of half the windows has half of the price, too.
         weight = draws.times.sum(1) / draws.times.shape[1]

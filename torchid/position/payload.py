@@ -319,14 +319,16 @@ class _Profile:
 
 
 def with_load(motions: Motions, model: ServoModel) -> Loaded | None:
-    """The arm with a load that takes error away beside all servos; None where none does, or where
-    its mass is not told from none.
+    """The arm with a load that takes error away beside all servos; None where none does, where its
+    mass is not told from none, or where the arm's own masses are not known.
 
     Args:
         motions: to fit to.
         model: servos, fitted without a load.
     """
     data, windows = motions.data, some_of(motions.windows, MOST_WINDOWS)
+    if not data.weighed:
+        return None
     beside = _Beside(Motions(data, windows), model)
     none = beside.place(torch.zeros(4, dtype=torch.float64), model.servos)
     if not beside.promised(none) > WORTH * float(none.losses.sum()):

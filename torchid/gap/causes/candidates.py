@@ -124,14 +124,13 @@ class Term:
         """(C,) where coefficients are expected."""
         return np.zeros(self.count) if self.seen is None else self.seen.value + self.low
 
-    @cached_property
-    def farthest(self) -> np.ndarray:
-        """(C,) least corrections that no arm has; -inf of what only takes away what the model has,
-        which may be gone."""
+    def is_beyond(self, x: np.ndarray) -> bool:
+        """Whether one of its coefficients (C,) is at a least that no arm has; not what only takes
+        away what the model has, which may be gone."""
         if self.effect is None or self.effect.inertial:
-            return np.full(self.count, -np.inf)
+            return False
         least = np.array([low for low, _ in self.effect.ranges])
-        return np.where((self.low < 0) & (least != 0), self.low, -np.inf)
+        return bool(((x <= self.low) & (self.low < 0) & (least != 0)).any())
 
     @property
     def common(self) -> bool:

@@ -131,13 +131,13 @@ def judged(
     # beside the term as well.
     rivals, beside = list[tuple[tuple[Term, ...], Fit]](), list[float]()
     for u, f in tried:
-        alone, both = evidence.over(f, base), 0.0
-        if alone > STEP:
-            both = max(0.0, evidence.over(evidence.fit((*fit.terms, *u), fit.samples), fit))
-        last = len(f.terms) - 1
-        impossible = bool((f.values()[last] <= f.terms[last].farthest).any())
-        impossible |= f.terms[last].name == Payload.name and not search.is_load(f, last)
-        if alone > both + STEP and not impossible:
+        alone, last = evidence.over(f, base), len(f.terms) - 1
+        if alone <= STEP or f.terms[last].is_beyond(f.values()[last]):
+            continue
+        if f.terms[last].name == Payload.name and not search.is_load(f, last):
+            continue
+        both = max(0.0, evidence.over(evidence.fit((*fit.terms, *u), fit.samples), fit))
+        if alone > both + STEP:
             rivals.append((u, f))
             beside.append(both)
     # A log drawn without the block in which it happened would say that it is not there.

@@ -143,7 +143,7 @@ class Search:
         key = term.serial, value
         if key not in self._secants:
             assert term.effect is not None
-            made = self.library.of_effect(term.effect.at_estimate([value]), term)
+            made = self.library.of_effect(term.effect.at_estimate([value]))
             self._secants[key] = None if made is None else self.library.like(made, term)
         return self._secants[key]
 
@@ -187,8 +187,7 @@ class Search:
     def possible(self, fit: Fit) -> Fit:
         """Without terms that are as much as no arm has, which do not come back: on its way a search
         may lean on them for what has not joined yet."""
-        pairs = zip(fit.terms, fit.values(), strict=True)
-        beyond = [t for t, x in pairs if bool((x <= t.farthest).any())]
+        beyond = [t for t, x in zip(fit.terms, fit.values(), strict=True) if t.is_beyond(x)]
         self.impossible |= {t.key for t in beyond}
         if not beyond:
             return fit
