@@ -20,7 +20,7 @@ from torchid.effects.motion import Motion
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
 from torchid.gap.cause_records import body_cause, valued
-from torchid.gap.causes.explain import AGAIN, Explained, explain, of_asked_log
+from torchid.gap.causes.explain import WITH_BODIES, Explained, explain, of_asked_log
 from torchid.gap.causes.search import JUDGED
 from torchid.gap.describe.checked import Decision, decide
 from torchid.gap.describe.claims import claims_of
@@ -55,10 +55,10 @@ from torchid.typing import Float, Tensor
 
 STAGES = {
     "checking the log": 11, "preparing": 4, "what effects do": 5, "adding causes": 10,
-    "exchanging causes": 16, AGAIN[0]: 26, AGAIN[1]: 24, "judging": 10, "locating": 3, "done": 0,
+    WITH_BODIES: 10, "exchanging causes": 26, "judging": 10, "locating": 3, "done": 0,
 }  # fmt: skip
 """That are told as progress, with about the share of the time that each takes [1]."""
-SEARCH = ("adding causes", "exchanging causes", *AGAIN, *JUDGED)
+SEARCH = ("adding causes", WITH_BODIES, "exchanging causes", *JUDGED)
 """Those whose time goes with what is found; of others with the length of the log."""
 MUST = ("what effects do", *JUDGED)
 """Those without which there is no answer."""

@@ -8,7 +8,7 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFrict
 from torchid.effects.gravity import TorqueGain
 from torchid.effects.inertia import RotorInertia
 from torchid.gap.causes.candidates import Library, Term
-from torchid.gap.causes.search import Search
+from torchid.gap.causes.search import Found, Search
 from torchid.gap.problem import Problem
 
 NAMES = (
@@ -38,6 +38,11 @@ def problem(name: str | None, hz: float | None = None, names: tuple[str, ...] = 
 def search(name: str | None, hz: float | None = None) -> Search:
     """Its search, not begun."""
     return Search(Library(problem(name, hz)))
+
+
+def explanation(of: Search) -> Found:
+    """What a search ends with, from nothing."""
+    return of.completed(of.joined())
 
 
 def candidate(of: Search, name: str, joint: int) -> Term:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.gap.causes.problems import explanation
 from tests.gap.problems import data_of, measured, search_of
 from torchid.design.resonance import Swing
 from torchid.effects.gravity import TorqueCrosstalk
@@ -37,7 +38,7 @@ def test_what_a_swing_shows_is_there_however_little_torque_it_has(
     assert own.joints == (1,)
     assert own.extra > 100
     assert own.shown is shown
-    found = of.explanation()
+    found = explanation(of)
     assert (own.key in {t.key for t in found.fit.terms}) is shown
     fit = of.evidence.fit([own], of.library.rows)
     assert fit.x[0] == pytest.approx(seen.value, abs=3 * seen.std)

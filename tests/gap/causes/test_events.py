@@ -9,6 +9,7 @@ import torch
 
 import torchid
 from tests.effects.exact_logs import smooth_motion
+from tests.gap.causes.problems import explanation
 from tests.gap.motions import ROBOT, noises
 from tests.gap.problems import NOISE, SIMPLE, data_of, measured, problem_of, wanted_of
 from torchid.design.repeats import Pair, Repeats
@@ -52,7 +53,7 @@ def search_of(
 
 def found_in(of: Search) -> list[Contact]:
     """Contacts of the explanation."""
-    effects = (t.effect for t in of.explanation().fit.terms)
+    effects = (t.effect for t in explanation(of).fit.terms)
     return [e for e in effects if isinstance(e, Contact)]
 
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from tests.gap.causes.problems import NAMES, PLANTED, problem, search
+from tests.gap.causes.problems import NAMES, PLANTED, candidate, explanation, problem, search
 from tests.gap.problems import ROBOT, data_of, measured, problem_of, wanted_of
 from torchid.effects.gravity import EncoderOffset, TorqueGain
 from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.explain import AGAIN, explain, with_bodies
+from torchid.gap.causes.explain import WITH_BODIES, explain, with_bodies, with_likeliest
+from torchid.gap.causes.judge import judge
 from torchid.gap.causes.search import Search
 from torchid.gap.torque import STAGES
 from torchid.parallel.pace import Pace
@@ -19,7 +20,7 @@ from torchid.robot.inertia import InertialParameters
 
 @pytest.mark.parametrize("name", PLANTED)
 def test_what_was_planted_is_found_with_its_size(name: str) -> None:
-    found = search(name).explanation()
+    found = explanation(search(name))
     effect, values = PLANTED[name]
     assert [(t.name, t.joints) for t in found.fit.terms] == [(name, effect.joints)]
     assert found.fit.values()[0].tolist() == pytest.approx(values, rel=0.1)
@@ -27,13 +28,13 @@ def test_what_was_planted_is_found_with_its_size(name: str) -> None:
 
 @pytest.mark.parametrize("hz", [None, 2.0])
 def test_nothing_is_found_in_noise(hz: float | None) -> None:
-    assert search(None, hz).explanation().fit.terms == ()
+    assert explanation(search(None, hz)).fit.terms == ()
 
 
 def test_two_causes_are_found_together() -> None:
     planted = [PLANTED["viscous_friction"], PLANTED["torque_offset"]]
     of = Search(Library(problem_of(measured(planted), wanted_of(NAMES))))
-    names = {(t.name, t.joints) for t in of.explanation().fit.terms}
+    names = {(t.name, t.joints) for t in explanation(of).fit.terms}
     assert names == {(e.name, e.joints) for e, _ in planted}
 
 
@@ -42,7 +43,7 @@ def test_friction_that_the_file_has_and_the_arm_has_not_is_a_change_to_nothing()
     names = ("viscous_friction", "coulomb_friction")
     given = [PLANTED[name] for name in names]
     wanted = wanted_of((*NAMES, "power_law_friction", "thermal_friction_drift"))
-    fit = Search(Library(problem_of(measured([]), wanted, given=given))).explanation().fit
+    fit = explanation(Search(Library(problem_of(measured([]), wanted, given=given)))).fit
     found = {t.name: x.tolist() for t, x in zip(fit.terms, fit.values(), strict=True)}
     gone = {name: [-x for x in values] for name, (_, values) in zip(names, given, strict=True)}
     assert found.keys() == gone.keys()
@@ -54,7 +55,7 @@ def test_friction_that_the_file_has_and_the_arm_has_not_is_a_change_to_nothing()
 def test_what_no_arm_has_is_no_cause(gain: float, names: list[str]) -> None:
     """At its least, which takes away nothing that the model has, a coefficient has no name."""
     data = measured([(TorqueGain(1), (gain,))])
-    fit = Search(Library(problem_of(data, wanted_of(("torque_gain",))))).explanation().fit
+    fit = explanation(Search(Library(problem_of(data, wanted_of(("torque_gain",)))))).fit
     assert [t.name for t in fit.terms] == names
 
 
@@ -63,7 +64,7 @@ def test_a_turned_zero_of_the_last_joint_is_no_load() -> None:
     offset = -0.15
     data = measured([(EncoderOffset(2, at=offset), [offset])])
     wanted = wanted_of((*NAMES, "encoder_offset", "payload", "link_inertia"), inertial=True)
-    fit = Search(Library(problem_of(data, wanted))).explanation().fit
+    fit = explanation(Search(Library(problem_of(data, wanted)))).fit
     assert [(t.name, t.joints) for t in fit.terms] == [("encoder_offset", (2,))]
     assert fit.values()[0].tolist() == pytest.approx([offset], rel=0.02)
 
@@ -75,7 +76,7 @@ def test_a_centre_that_no_mass_moved_is_no_load(mass: float, name: str) -> None:
     pi[-1, :2] += torch.tensor([mass, 0.06], dtype=pi.dtype)
     real = ROBOT.with_parameters(InertialParameters(pi))
     wanted = wanted_of((*NAMES, "payload", "link_inertia"), inertial=True)
-    fit = Search(Library(problem_of(measured([], real=real), wanted))).explanation().fit
+    fit = explanation(Search(Library(problem_of(measured([], real=real), wanted)))).fit
     assert [t.name for t in fit.terms] == [name]
 
 
@@ -85,7 +86,7 @@ def test_steps_are_told_and_no_set_comes_back() -> None:
         Library(problem("coulomb_friction")),
         lambda _, fit: taken.append(frozenset(t.serial for t in fit.terms)),
     )
-    of.explanation()
+    explanation(of)
     assert len(taken[0]) == 1
     assert len(set(taken)) == len(taken)
 
@@ -99,7 +100,7 @@ def test_a_push_is_found_in_its_window() -> None:
     tau = first.tau + columns @ torch.tensor([6.0, -4.0, 2.0], dtype=torch.float64)
     data = data_of([replace(first, tau=tau), *quiet.segments[1:]])
     of = Search(Library(problem_of(data, wanted_of((*NAMES, "contact")))))
-    (term,) = of.explanation().fit.terms
+    (term,) = explanation(of).fit.terms
     assert isinstance(term.effect, Contact)
     assert term.effect.start == pytest.approx(start, abs=0.5)
     assert term.effect.stop == pytest.approx(stop, abs=0.5)
@@ -107,7 +108,7 @@ def test_a_push_is_found_in_its_window() -> None:
 
 def test_a_cause_is_worth_what_it_lowers_where_it_was_not_fitted() -> None:
     of = search("viscous_friction")
-    fit = of.again(of.explanation().fit)
+    fit = of.again(explanation(of).fit)
     part = np.arange(of.library.gap.shape[1]) // 50 % 5
     whole, without = of.left_out(fit, part), of.left_out(fit, part, fit.terms[0])
     assert of.worth(whole, without) > 1
@@ -122,7 +123,7 @@ def test_a_cause_is_larger_than_what_the_model_left_itself(
 ) -> None:
     """Over all of the log, or while it acts."""
     of = Search(Library(problem("viscous_friction")))
-    fit = of.again(of.explanation().fit)
+    fit = of.again(explanation(of).fit)
     part = np.arange(of.library.gap.shape[1]) // 50 % 5
     whole, without = of.left_out(fit, part), of.left_out(fit, part, fit.terms[0])
     of.library.known_noise = times * of.library.size
@@ -139,19 +140,30 @@ def test_what_is_explained_has_its_errors_and_how_sure_it_is() -> None:
     assert explain(problem(None)).judged == []
 
 
-def test_bodies_that_an_exchange_brings_have_their_share_of_the_time(monkeypatch) -> None:
-    """While causes joined there were none, and the stage was not to come."""
-    changed, shares = iter([False, True, False]), dict[str, float]()
+def test_columns_are_made_anew_for_bodies_before_causes_are_exchanged(monkeypatch) -> None:
+    """Whatever is exchanged is seen on the arm as it is; an arm that is right has one library."""
+    changed, stages = iter([True, True, True]), list[str]()
     monkeypatch.setattr("torchid.gap.causes.explain._changed", lambda *_: next(changed))
+    explain(problem("torque_offset"), pace=Pace(lambda stage, *_: stages.append(stage), STAGES))
+    order = ["adding causes", WITH_BODIES, "exchanging causes"]
+    assert [s for s in stages if s in order] == order
+    assert list(changed) == [True]
+    monkeypatch.undo()
+    stages.clear()
+    explain(problem("torque_offset"), pace=Pace(lambda stage, *_: stages.append(stage), STAGES))
+    assert WITH_BODIES not in stages
 
-    class Asked(Pace):
-        def has_time(self, what: str, *stages: str) -> bool:
-            shares.setdefault(what, self.expected(AGAIN[0]))
-            return super().has_time(what, *stages)
 
-    explain(problem("torque_offset"), pace=Asked(None, STAGES))
-    assert shares["backlash and pushes"] == 0
-    assert shares["effects with the bodies found"] > 0
+def test_what_is_likely_by_itself_takes_the_place_of_what_is_not() -> None:
+    """A number stands beside the name that it is of, and so does a probability."""
+    of = search("viscous_friction")
+    dry, viscous = (candidate(of, f"{name}_friction", 1) for name in ("coulomb", "viscous"))
+    draws, left = problem("viscous_friction").draws, np.zeros(4)
+    fit = of.evidence.fit((dry,), of.library.rows)
+    then = with_likeliest(of, fit, judge(of, fit, left, draws))
+    assert then is not None
+    assert then.terms == (viscous,)
+    assert with_likeliest(of, then, judge(of, then, left, draws)) is None
 
 
 def test_an_offset_is_read_on_the_arm_with_the_load_that_was_found() -> None:

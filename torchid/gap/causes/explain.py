@@ -1,6 +1,6 @@
 """From a problem to its causes: search, columns at the model found, and how sure each cause is."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,10 @@ from torchid.gap.causes.search import Found, Search
 from torchid.gap.problem import Problem
 from torchid.parallel.pace import Pace
 from torchid.robot.inertia import InertialParameters
+from torchid.statistics.criteria import LIKELY
 
-AGAIN = ("with the bodies found", "with the bodies found, again")
-"""Stages in which the columns are taken at the model found and the search goes on, at most."""
+WITH_BODIES, TIMES = "with other bodies", 2
+"""The stage in which columns are made anew for bodies that have joined, and how often at most."""
 
 CHANGED_SHARE = 0.02
 """Relative change of a joint's model torque from which columns are taken anew [1]; at double
@@ -64,50 +65,81 @@ def explain(
     # The first answer so far: the gap alone, before anything is looked for.
     search.watch(search, search.empty())
 
-    def grown(fit: Fit) -> None:
-        """Whether effects will be taken anew with the bodies found."""
-        given = problem.given.model
-        pace.scale(AGAIN, float(_changed(given, with_bodies(given, fit), problem)))
-
-    found = search.explanation(grown=grown)
-    for stage in AGAIN:
-        # What turns or scales the model does so to the bodies that were found, too.
-        at = with_bodies(problem.given.model, found.fit)
+    fit = search.joined()
+    for _ in range(TIMES):
+        # What turns or scales the model does so to the bodies that have joined, too.
+        at = with_bodies(problem.given.model, fit)
         if not _changed(library.columns.model, at, problem):
             break
-        pace.scale(AGAIN, 1.0)  # an exchange may have brought bodies
-        if not pace.has_time("effects with the bodies found", stage):
+        if not pace.has_time("effects with other bodies", WITH_BODIES):
             break
-        pace(stage)
+        pace(WITH_BODIES)
         # Candidates that were made on the way, as windows of pushes are, are no part of a new
-        # library; they are handed to it, and the search begins with what was there.
-        events = [t.effect for t in found.fit.terms if t.effect is not None and t.effect.event]
+        # library; they are handed to it, and the search goes on from what was there.
+        events = [t.effect for t in fit.terms if t.effect is not None and t.effect.event]
         library = kind(problem, events, at)
-        start = [library.same(t) for t in found.fit.terms]
+        start = [library.same(t) for t in fit.terms]
         search = Search(library, watch, pace)
-        found = search.explanation([t for t in start if t is not None])
+        fit = search.joined([t for t in start if t is not None])
+    found = search.completed(fit)
     pace("judging")
-    evidence = search.evidence
+    refused = () if problem.asked is None else found.small
     fit = search.again(found.fit)
+    left = left_of(search, fit)
+    judged = judge(search, fit, left, problem.draws, refused)
+    likelier = with_likeliest(search, fit, judged)
+    if likelier is not None:
+        found, left = replace(found, fit=likelier), left_of(search, likelier)
+        judged = judge(search, likelier, left, problem.draws, refused)
+    return Explained(search, found, judged, left)
+
+
+def with_likeliest(search: Search, fit: Fit, judged: Sequence[Judged]) -> Fit | None:
+    """An explanation with what is likely by itself in the place of terms that are less so: on logs
+    that might have been the evidence is another than on this one. None where all stay.
+
+    Args:
+        search: of the explanation.
+        fit: the explanation.
+        judged: its terms, with their rivals.
+    """
+    terms = list(fit.terms)
+    for k, one in enumerate(judged):
+        (likeliest, *others), sure = one.members[0] if one.members else ((one.term,), one.own)
+        if sure >= LIKELY and not others and all(likeliest is not t for t in terms):
+            terms[k] = likeliest
+    if all(a is b for a, b in zip(terms, fit.terms, strict=True)):
+        return None
+    then = search.again(search.evidence.fit(terms, fit.samples))
+    return then if then.allowed else None
+
+
+def left_of(search: Search, fit: Fit) -> np.ndarray:
+    """Share (n + 1,) of the squares of each joint's gap that an explanation leaves on motions left
+    out and that is no noise, and of the arm's as a whole.
+
+    Args:
+        search: of the explanation.
+        fit: the explanation.
+    """
+    library, problem = search.library, search.library.problem
     # Whole motions left out say how far the gap closes; noise is what repeats, or a flexible
     # predictor, leave of that.
     after = search.left_out(fit, np.where(library.asked, problem.folds.fold.numpy(), -1))
     before = library.rms(library.gap)
     # What a predictor of the state foresees is no noise; without repeats all the rest is.
-    share = foreseen(problem, torch.from_numpy(evidence.left(fit))).share.clamp(min=0).numpy()
+    left = torch.from_numpy(search.evidence.left(fit))
+    share = foreseen(problem, left).share.clamp(min=0).numpy()
     noise = np.minimum(library.noise, after)
     noise = np.where(np.isnan(noise), after * np.sqrt(1 - share), noise)
     # Squares add up where RMS values do not, for noise and misfit are independent.
-    left = np.maximum(after**2 - noise**2, 0.0)
-    shares = left / np.maximum(before**2, 1e-300)
+    rest = np.maximum(after**2 - noise**2, 0.0)
+    shares = rest / np.maximum(before**2, 1e-300)
     # Of the whole arm each joint counts in units of its torque: newtons and newton metres have no
     # sum.
     unit = library.torque**2
-    whole = float((left / unit).sum() / max((before**2 / unit).sum(), 1e-300))
-    shares = np.minimum(np.append(shares, whole), 1.0)
-    refused = () if problem.asked is None else found.small
-    judged = judge(search, fit, shares, problem.draws, refused)
-    return Explained(search, found, judged, shares)
+    whole = float((rest / unit).sum() / max((before**2 / unit).sum(), 1e-300))
+    return np.minimum(np.append(shares, whole), 1.0)
 
 
 def of_asked_log(explained: Explained, problem: Problem) -> Explained:

@@ -149,14 +149,11 @@ class Search:
         """A fit without a term, with as many samples."""
         return self.evidence.fit(excluding(fit.terms, [term]), fit.samples)
 
-    def explanation(
-        self, start: Sequence[Term] = (), grown: Callable[[Fit], None] | None = None
-    ) -> Found:
-        """The likeliest set of causes whose every member is worth its name.
+    def joined(self, start: Sequence[Term] = ()) -> Fit:
+        """Causes that join one after the other; none is exchanged for another yet.
 
         Args:
             start: terms that the search begins with.
-            grown: called with the causes that have joined, before they are exchanged.
         """
         self.visited.clear()
         self.pace("adding causes")
@@ -168,9 +165,11 @@ class Search:
         if start:
             fit = self.again(self.evidence.fit(start, fit.samples))
             fit = self.shrink(fit)
-        fit = self.grow(fit)
-        if grown is not None:
-            grown(fit)
+        return self.grow(fit)
+
+    def completed(self, fit: Fit) -> Found:
+        """Causes are exchanged, and others join, until nothing is likelier; those that are worth
+        their names."""
         self.pace("exchanging causes")
         if self.pace.has_time("backlash and pushes"):
             self._offer([*self.library.plays(self._open(fit)), *self._pushes(fit)])
