@@ -155,7 +155,7 @@ class Judge:
         spread = (tau**2).sum(0) / rows - (tau.sum(0) / rows) ** 2
         dead = (spread < 1e-12 * max(1e-300, spread.max())) | (rows < FEWEST * BLOCKS)
         spread[dead] = 0.0
-        return Normal(gram, np.stack(cross), np.stack(square), counts, spread, columns.gram)
+        return Normal(gram, np.stack(cross), np.stack(square), counts, spread)
 
     def torque(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) torque of the robot's joints."""
