@@ -11,7 +11,7 @@ from msgspec import structs
 from torchid.doctor.check import Check, Choice, judged, with_choices, worded_check
 from torchid.doctor.cone import fit
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
-from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, minimum, profile
+from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.runs import PIECES, loss_of, pieces_of_runs
 from torchid.doctor.search import Search
@@ -26,8 +26,6 @@ from torchid.statistics.jackknife import from_left_out
 
 _LOOSE = math.radians(20.0)
 _STEP = math.radians(4.0)
-_LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
-"""Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
 LIKELY = 0.5 * CLEAR_GAIN
 """What a lag must be worth when its interval lies beyond those that are not worth mending: heavy
@@ -105,7 +103,8 @@ def _estimate(judge: Judge, end: Hypothesis) -> tuple[np.ndarray, float, float, 
 
 
 def lag_of(judge: Judge, result: Search, *, first: bool = False) -> Profile | None:
-    """How late torque is [s] with all else mended; None where nothing moves with a torque.
+    """How late torque is [s] with all else mended, beside friction that builds up over a distance
+    after each reversal, which looks as late; None where nothing moves with a torque.
 
     Args:
         judge: of the log.
@@ -115,14 +114,9 @@ def lag_of(judge: Judge, result: Search, *, first: bool = False) -> Profile | No
     end, reach = result.final.hypothesis, judge.samples.reach - 1e-6
     if not judge.live(end):
         return None
-    grid, step = [end.late + x for x in _GRID], min(0.01, 0.1 * reach)
-    least = LIKELY - _searched(result) if first else -math.inf
-    return profile(judge, lambda late: _late(judge, end, late), grid, end.late, step, least)
-
-
-def _searched(result: Search) -> float:
-    """What lags that the search has found have gained already."""
-    return sum(f.gain for f in result.faults if f.move.kind == "lag")
+    grid, step = [end.late + x for x in (*_GRID, 0.0)], min(0.01, 0.1 * reach)
+    least = LIKELY if first else -math.inf
+    return profile(judge.looped, lambda late: _late(judge, end, late), grid, 0.0, step, least)
 
 
 def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
@@ -133,43 +127,20 @@ def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
 def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     """`clear`, `likely` (its interval lies beyond what is worth mending), `long` (but nothing bears
     it out), or empty."""
-    gain = lag.gain + _searched(result)
     # 0.5: lags that are shorter than this many sampling steps are not worth mending
     least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
-    if result.explained and long and gain > CLEAR_GAIN:
+    if result.explained and long and lag.gain > CLEAR_GAIN:
         return "clear"
-    if result.explained and away > least and gain > LIKELY:
+    if result.explained and away > least and lag.gain > LIKELY:
         return "likely"
     return "long" if long else ""
 
 
-def looped(judge: Judge, result: Search, lag: Profile | None) -> Judge | None:
-    """A judge with a loop over position in the place of dry friction that steps, where a log's
-    torque looks late and this explains it better: a lag is one time at all speeds and amplitudes,
-    a loop is one distance. None where the torque is late, or nothing is."""
-    if lag is None or _lateness(judge, result, lag) not in ("clear", "likely"):
-        return None
-    end = result.final.hypothesis
-    starts = {Hypothesis.literal(judge.robot), replace(end, late=0.0)}
-    tried: list[tuple[float, float]] = []
-    for sign in (1.0, -1.0):
-
-        def loss(share: float, sign: float = sign) -> float:
-            loop = Judge(judge.robot, judge.samples.looped(sign * math.exp(share)))
-            tried.append((min(loop.score(start).loss for start in starts), loop.samples.loop))
-            return tried[-1][0]
-
-        minimum(loss, _LOOPS, 0.2)
-    least, share = min(tried)
-    if least >= judge.score(replace(end, late=lag.value)).loss:
-        return None
-    return Judge(judge.robot, judge.samples.looped(share))
-
-
 def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
-    """Lag of torque behind position [s], with an interval; it is none where runs differ in theirs.
+    """Lag of torque behind position [s], with an interval; it is none where joints or runs differ
+    in theirs.
 
     Args:
         judge: of the log.
@@ -187,12 +158,10 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
         text += " ({:.1f} to {:.1f} ms)".format(*sorted(sign * end for end in interval))
     else:
         text += ", which gains too little for a fault"
-    if judge.samples.loop:
-        text += "; a loop over position explains more than a lag"
     check = worded_check("lag", "fine", estimate=lag.value, interval=interval, text=text)
     late = _lateness(judge, result, lag)
     if late in ("clear", "likely"):
-        if apart := _lags_apart(judge, end, lag.value):
+        if apart := _lags_apart(judge.looped, end, lag.value):
             evidence = f"{text}; {apart}: a lag would be one time in all of them"
             return structs.replace(check, verdict="cannot tell", evidence=evidence)
         repair = ShiftTorque(float(f"{lag.value:.4g}"))

@@ -176,7 +176,7 @@ def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[FoundFault, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
-    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN]
+    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN and _no_friction(judge, m)]
     tried = []
     # 5: best moves that are looked at closely
     for cost, m in clear[:5]:
@@ -201,6 +201,14 @@ def _best(
     rivals = tuple({x[1].name: x[1] for x in tied if x[1].name != move.name}.values())
     before, after = rms(held), rms(errors)
     return FoundFault(move, before, after, gain, (agreeing, judged), rivals), errors
+
+
+def _no_friction(judge: Judge, move: Move) -> bool:
+    """Whether a lag wins beside friction that builds up after reversals, too; true of all else."""
+    if move.kind != "lag":
+        return True
+    before, after = (judge.looped.score(h).loss for h in (move.before, move.after))
+    return after < before - CLEAR_GAIN
 
 
 def rms(errors: np.ndarray) -> np.ndarray:
