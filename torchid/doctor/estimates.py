@@ -1,7 +1,7 @@
 """What torque tells with an interval: where gravity points, and how late torque is logged."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, profil
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.runs import PIECES, loss_of, pieces_of_runs
 from torchid.doctor.search import Search
+from torchid.robot.model import joint_list
 from torchid.statistics.criteria import (
     CLEAR_GAIN,
     EXPLAINED,
@@ -131,9 +132,12 @@ def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
-    if result.explained and long and lag.gain > CLEAR_GAIN:
+    # 0.5: share of a lag that is left at most once it is mended; of more, nothing is known of it
+    if not result.explained or away < 0.5 * abs(lag.value):
+        return "long" if long else ""
+    if long and lag.gain > CLEAR_GAIN:
         return "clear"
-    if result.explained and away > least and lag.gain > LIKELY:
+    if away > least and lag.gain > LIKELY:
         return "likely"
     return "long" if long else ""
 
@@ -161,19 +165,34 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
     check = worded_check("lag", "fine", estimate=lag.value, interval=interval, text=text)
     late = _lateness(judge, result, lag)
     if late in ("clear", "likely"):
-        if apart := _lags_apart(judge.looped, end, lag.value):
+        live = judge.live(end)
+        if apart := _shown_by(lag, live) or _lags_apart(judge.looped, end, lag.value):
             evidence = f"{text}; {apart}: a lag would be one time in all of them"
             return structs.replace(check, verdict="cannot tell", evidence=evidence)
         repair = ShiftTorque(float(f"{lag.value:.4g}"))
-        # A delay, gears or friction of the arm's own look the same where bodies explain the torque.
-        live = judge.live(end)
+        # A delay of the arm's own looks the same where bodies explain the torque, or of one joint.
         sure = late == "clear" and any(f.before[live].max() > EXPLAINED for f in searched)
+        sure &= len(live) > 1
         return structs.replace(check, verdict="wrong" if sure else "doubtful").mended_by(repair)
     # 0.05: half-width of an interval from which it says nothing of a lag [s]
     loose = interval is not None and 0.5 * (lag.high - lag.low) > 0.05
     if loose or searched or late or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check
+
+
+def _shown_by(lag: Profile, live: Sequence[int]) -> str:
+    """The joints that show a lag, in words, where fewer than two of several do, or no more than
+    have less than half of it: what one joint has alone is its own; empty otherwise."""
+    if len(live) < 2 or lag.own is None:
+        return ""
+    sign = math.copysign(1.0, lag.value)
+    ends = np.sort(sign * lag.own[live, 1:], 1)
+    shows, less = (np.array(live)[x] for x in (ends[:, 0] > 0, ends[:, 1] < 0.5 * abs(lag.value)))
+    if len(shows) > max(1, len(less)):
+        return ""
+    most = f"it shows in {joint_list(shows)} alone" if len(shows) else "it shows in no joint alone"
+    return most + (f", and {joint_list(less)} has less than half of it" if len(less) else "")
 
 
 def _lags_apart(judge: Judge, end: Hypothesis, late: float) -> str:

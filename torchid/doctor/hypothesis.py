@@ -272,12 +272,15 @@ class Profile:
         low, high: 95 %, from leaving out one block of time after the other; infinite where they
             were not asked.
         gain: by how much the loss is lower than at the starting value.
+        own: (n, 3) value, low and high that each joint's torque has by itself, within two steps;
+            None where no interval was asked.
     """
 
     value: float
     low: float
     high: float
     gain: float
+    own: np.ndarray | None = None
 
 
 def profile(
@@ -309,14 +312,18 @@ def profile(
     values = (best - step, best, best + step)
     normals = [judge.normal(family(x), judge.members) for x in values]
     weights = judge.fit(normals[1]).weights
-    estimates = []
+    errors = [[judge.score(family(x)).errors for x in values]]
     for b in range(BLOCKS):
         others = [normal.without(b) for normal in normals]
-        errors = [shares(judge.fit(x, weights).variance, x.spread) for x in others]
-        estimates.append(_vertex(values, [float(np.log(e).sum()) for e in errors]))
-    left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
-    low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
-    return Profile(best, low, high, gain)
+        errors.append([shares(judge.fit(x, weights).variance, x.spread) for x in others])
+    # Of all joints together, then of each one: as it is, and a block left out.
+    logs = np.log(np.array(errors)).transpose(0, 2, 1)
+    logs = np.concatenate([logs.sum(1, keepdims=True), logs], 1)
+    each = torch.tensor([[_vertex(values, x.tolist()) for x in own] for own in logs]).double()
+    each[0, 0] = best
+    ends = from_left_out(each[1:]).interval(each[0])
+    own = torch.cat([each[0, :, None], ends], 1).numpy()
+    return Profile(best, *own[0, 1:].tolist(), gain, own[1:])
 
 
 def minimum(
