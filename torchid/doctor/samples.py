@@ -96,9 +96,7 @@ def samples(log: Log) -> Samples | str:
     total = sum(p.samples / rate for p, rate, _ in usable)
     extent, ways = even.q.amax(0) - even.q.amin(0), even.least_way
     # 1600: samples kept, spread evenly
-    made = [
-        (_stretch(p, rate, cutoff, 1600 / total, extent, ways), run) for p, rate, run in usable
-    ]
+    made = [(_stretch(p, rate, cutoff, 1600 / total, extent, ways), run) for p, rate, run in usable]
     kept = [s for s, _ in made if s is not None]
     runs = [torch.full_like(s.t[s.inside], run) for s, run in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)

@@ -8,6 +8,7 @@ import numpy as np
 from torchid.doctor.cone import MODEL
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
 from torchid.doctor.moves import Group, Move, all_moves, alternatives, invisible_groups, joint_sign
+from torchid.doctor.push import pushed_loss
 from torchid.statistics.criteria import (
     AGREEING_BLOCKS,
     CLEAR_GAIN,
@@ -176,7 +177,7 @@ def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[FoundFault, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
-    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN and _no_friction(judge, m)]
+    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN and _stands(judge, m)]
     tried = []
     # 5: best moves that are looked at closely
     for cost, m in clear[:5]:
@@ -203,12 +204,15 @@ def _best(
     return FoundFault(move, before, after, gain, (agreeing, judged), rivals), errors
 
 
-def _no_friction(judge: Judge, move: Move) -> bool:
-    """Whether a lag wins beside friction that builds up after reversals, too; true of all else."""
-    if move.kind != "lag":
-        return True
-    before, after = (judge.looped.score(h).loss for h in (move.before, move.after))
-    return after < before - CLEAR_GAIN
+def _stands(judge: Judge, move: Move) -> bool:
+    """Whether a lag wins beside friction that builds up after reversals, too, and a coupling
+    explains more than a push at one link does; true of all else."""
+    if move.kind == "lag":
+        before, after = (judge.looped.score(h).loss for h in (move.before, move.after))
+        return after < before - CLEAR_GAIN
+    if move.kind == "coupling":
+        return judge.score(move.after).loss < pushed_loss(judge, move.before) - TIED_GAIN
+    return True
 
 
 def rms(errors: np.ndarray) -> np.ndarray:
