@@ -132,12 +132,11 @@ def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
-    # 0.5: share of a lag that is left at most once it is mended; of more, nothing is known of it
-    if not result.explained or away < 0.5 * abs(lag.value):
-        return "long" if long else ""
-    if long and lag.gain > CLEAR_GAIN:
+    # 0.5: share of a lag that may be left once it is mended: of one less known, nothing is mended
+    known = result.explained and away >= 0.5 * abs(lag.value)
+    if known and long and lag.gain > CLEAR_GAIN:
         return "clear"
-    if away > least and lag.gain > LIKELY:
+    if known and away > least and lag.gain > LIKELY:
         return "likely"
     return "long" if long else ""
 
@@ -188,11 +187,12 @@ def _shown_by(lag: Profile, live: Sequence[int]) -> str:
         return ""
     sign = math.copysign(1.0, lag.value)
     ends = np.sort(sign * lag.own[live, 1:], 1)
-    shows, less = (np.array(live)[x] for x in (ends[:, 0] > 0, ends[:, 1] < 0.5 * abs(lag.value)))
+    less = [k for k, (_, high) in zip(live, ends, strict=True) if high < 0.5 * abs(lag.value)]
+    shows = [k for k, (low, _) in zip(live, ends, strict=True) if low > 0]
     if len(shows) > max(1, len(less)):
         return ""
-    most = f"it shows in {joint_list(shows)} alone" if len(shows) else "it shows in no joint alone"
-    return most + (f", and {joint_list(less)} has less than half of it" if len(less) else "")
+    most = f"it shows in {joint_list(shows)} alone" if shows else "no joint shows it by itself"
+    return most + (f", and less than half of it in {joint_list(less)}" if less else "")
 
 
 def _lags_apart(judge: Judge, end: Hypothesis, late: float) -> str:

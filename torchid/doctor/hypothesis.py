@@ -322,8 +322,9 @@ def profile(
     each = torch.tensor([[_vertex(values, x.tolist()) for x in own] for own in logs]).double()
     each[0, 0] = best
     ends = from_left_out(each[1:]).interval(each[0])
-    own = torch.cat([each[0, :, None], ends], 1).numpy()
-    return Profile(best, *own[0, 1:].tolist(), gain, own[1:])
+    low, high = ends[0].tolist()
+    own = torch.cat([each[0, 1:, None], ends[1:]], 1).numpy()
+    return Profile(best, low, high, gain, own)
 
 
 def minimum(
