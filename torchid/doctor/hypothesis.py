@@ -273,7 +273,7 @@ class Profile:
             were not asked.
         gain: by how much the loss is lower than at the starting value.
         own: (n, 3) value, low and high that each joint's torque has by itself, within two steps;
-            None where no interval was asked.
+            NaN of one that tells nothing; None where no interval was asked.
     """
 
     value: float
@@ -324,6 +324,7 @@ def profile(
     ends = from_left_out(each[1:]).interval(each[0])
     low, high = ends[0].tolist()
     own = torch.cat([each[0, 1:, None], ends[1:]], 1).numpy()
+    own[logs[0, 1:] @ [1, -2, 1] <= 0] = np.nan
     return Profile(best, low, high, gain, own)
 
 
