@@ -1,5 +1,6 @@
 """What looks like a fault of the log and is the arm's: presliding as a lag, pushes as couplings."""
 
+import math
 from dataclasses import replace
 from functools import lru_cache
 
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from torchid.doctor.estimates import check_lag
 from torchid.doctor.examine import Examination, examine
+from torchid.doctor.hypothesis import Profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
@@ -37,11 +40,11 @@ def presliding(length: float, seed: int, name: str = "3r") -> Log:
     return log.replace(tau=tau + 0.01 * size * noise, dq=None, ddq=None, source="presliding")
 
 
-def late(log: Log, seconds: float, joints: slice = slice(None)) -> Log:
-    """With the torque of some joints late [s]."""
+def late(log: Log, seconds: float) -> Log:
+    """With the torque late [s]."""
     assert log.tau is not None
-    t, tau = log.t.numpy(), log.tau.numpy().copy()
-    tau[:, joints] = np.stack([np.interp(t - seconds, t, x) for x in tau.T[joints]], 1)
+    t = log.t.numpy()
+    tau = np.stack([np.interp(t - seconds, t, x) for x in log.tau.numpy().T], 1)
     return log.replace(tau=torch.from_numpy(tau))
 
 
@@ -64,12 +67,37 @@ def test_friction_that_builds_up_is_no_lag_and_hides_none(length, seed, seconds)
     assert (verdict == "fine") == (seconds < 0.01)
 
 
-def test_a_lag_of_one_joint_alone_is_no_fault_of_the_clock() -> None:
-    verdict, _, shift = said(
-        examine("3r", late(presliding(1e-3, 0), 0.05, slice(1, 2)), first=True)
-    )
-    assert verdict in ("cannot tell", "fine")
-    assert shift == 0.0
+SHOWN, NONE, UNTOLD = (0.03, 0.02, 0.04), (0.0, -0.01, 0.01), (math.nan,) * 3
+
+
+@pytest.mark.parametrize(
+    ("own", "verdict"),
+    [
+        ((SHOWN, SHOWN, UNTOLD), "doubtful"),
+        ((SHOWN, SHOWN, NONE), "doubtful"),
+        ((SHOWN, UNTOLD, UNTOLD), "cannot tell"),
+        ((SHOWN, NONE, NONE), "cannot tell"),
+        ((UNTOLD, UNTOLD, UNTOLD), "cannot tell"),
+    ],
+)
+def test_a_lag_is_told_where_more_than_one_joint_shows_it(own, verdict: str) -> None:
+    found = examine("3r", late(presliding(1e-3, 0), 0.03), first=True)
+    assert found.judge is not None
+    assert found.search is not None
+    lag = Profile(0.03, 0.025, 0.035, 1.0, np.array(own))
+    check = check_lag(found.judge, found.search, lag)
+    assert check.verdict == verdict
+    assert bool(check.repairs) == (verdict == "doubtful")
+
+
+@pytest.mark.parametrize("half", [0.01, 0.02])
+def test_a_lag_that_may_be_less_than_half_is_not_mended(half: float) -> None:
+    found = examine("3r", late(presliding(1e-3, 0), 0.03), first=True)
+    assert found.judge is not None
+    assert found.search is not None
+    lag = Profile(0.03, 0.03 - half, 0.03 + half, 1.0, np.array([SHOWN] * 3))
+    check = check_lag(found.judge, found.search, lag)
+    assert bool(check.repairs) == (half < 0.015)
 
 
 @lru_cache
