@@ -4,9 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from torchid.doctor.cone import Columns, Normal, fit
-from torchid.doctor.hypothesis import minimum
+from torchid.doctor.hypothesis import Hypothesis, Judge, minimum
+from torchid.doctor.samples import BLOCKS, samples
+from torchid.dynamics.newton_euler import inverse_dynamics
+from torchid.log.model import Log
+from torchid.robot.library import load_robot
 
 SUMS = ("gram", "cross", "square", "count")
 ROWS, JOINTS, PARAMETERS, UNKNOWNS = 40, 2, 12, 90
@@ -77,3 +82,23 @@ def test_a_grid_is_evaluated_only_where_its_lowest_point_may_be() -> None:
     found = minimum(loss, grid, 0.05, lambda x: abs(x - 0.2) - 0.5)
     assert found == minimum(lambda x: abs(x - 0.2), grid, 0.05)
     assert {x for x in asked if x in grid} == {0.0}
+
+
+@pytest.mark.parametrize("block", range(1, BLOCKS - 1))
+def test_a_joint_that_moves_in_one_block_alone_can_be_left_out(block: int) -> None:
+    """What is left of its columns is nothing, and no rounding that is scaled to length one."""
+    robot = load_robot("3r")
+    t = torch.arange(0.0, 16.0, 0.01, dtype=torch.float64)
+    inside = (t > 2.0 * block + 0.3) & (t < 2.0 * block + 1.7)
+    own = torch.where(inside, torch.sin(torch.pi * (t - 2.0 * block - 0.3) / 1.4) ** 4, 0.0)
+    q = torch.stack([torch.sin(1.7 * t), torch.sin(1.1 * t + 1), 0.5 * own], 1)
+    (dq,) = torch.gradient(q, spacing=0.01, dim=0)
+    (ddq,) = torch.gradient(dq, spacing=0.01, dim=0)
+    rows = samples(Log(t, q, tau=inverse_dynamics(robot, q, dq, ddq) + 0.1 * dq.sign()))
+    judge = Judge(robot, rows)
+    normal = judge.normal(Hypothesis.literal(robot), judge.members)
+    apart = normal.apart(np.array([block]))
+    for rest in (normal.without(block).gram.sum(0), apart.gram[-1]):
+        # Of a last joint's rows that are none, nothing.
+        assert not rest[2].any()
+    assert np.isfinite(judge.held_out(Hypothesis.literal(robot))[block, 2])

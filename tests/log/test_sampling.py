@@ -235,3 +235,25 @@ def test_parts_of_one_uneven_trajectory_have_one_step() -> None:
     even = log_at(t).even
     assert len(even.names) == 2
     assert len(set(even.rates)) == 1
+
+
+@pytest.mark.parametrize("lost", [0, 40])
+@pytest.mark.parametrize("jitter", [20e-6, 80e-6, 400e-6])
+def test_stamps_that_jitter_about_a_regular_clock_are_put_right(jitter: float, lost: int) -> None:
+    """At face value a joint's acceleration would be wrong by a part that grows with the rate."""
+    draw = np.random.default_rng(5)
+    t = np.delete(np.arange(3000) / 250, draw.choice(np.arange(9, 2990), lost, replace=False))
+    log = log_at(t, 2)
+    even = log.replace(t=log.t + torch.from_numpy(jitter * draw.normal(size=len(t)))).even
+    assert even.rates == (pytest.approx(250.0, rel=1e-5),)
+    q = torch.from_numpy(motion(even.t.numpy(), 2)[0])
+    for k, most in ((1, 1e-3), (2, 1e-2)):
+        error = (even.q - q).diff(k, dim=0) * 250**k
+        assert error[50:-50].std() < most
+
+
+@pytest.mark.parametrize("jitter", [20e-6, 80e-6, 400e-6])
+def test_stamps_of_rows_that_were_taken_unevenly_are_kept(jitter: float) -> None:
+    t = np.arange(3000) / 250 + jitter * np.random.default_rng(6).normal(size=3000)
+    even = log_at(t, 2).even
+    assert errors(even)["q"] < 1e-6

@@ -22,7 +22,7 @@ from torchid.log.checks import SLOW_STEP_S, TIME_UNITS, near
 from torchid.log.columns import PREFIXES
 from torchid.log.model import Log
 from torchid.log.sampling import LONG_GAP_S, LONG_GAP_STEPS
-from torchid.log.stamps import SMALL_GAP
+from torchid.log.stamps import SMALL_GAP, roughness_ratio
 from torchid.statistics.robust import column_quantile
 from torchid.typing import Bool, Tensor
 
@@ -209,7 +209,7 @@ def check_stamps(case: Case) -> Check:
     # 0.1: steps that spread by less than this share of the median are even
     if share < 0.1:
         return worded_check("stamps", "fine", estimate=share, text=text)
-    worst = max(_roughness_ratio(t, q) for t, q in parts)
+    worst = max(roughness_ratio(t, np.arange(float(len(t))), q) for t, q in parts)
     # 3.0: stamps are taken for wrong when positions are this many times smoother over even ones
     if worst >= 3.0:
         known: dict[str, Any] = {"percent": 100 * share, "worst": worst, "text": text}
@@ -230,33 +230,3 @@ def _usual_longest(step: np.ndarray) -> float:
     """The step, in medians, that a tenth of the time lies in longer ones than; gaps left out."""
     inner = np.sort(step[step < LONG_GAP_STEPS * np.median(step)])
     return float(inner[np.searchsorted(inner.cumsum(), 0.9 * inner.sum())] / np.median(step))
-
-
-def _roughness_ratio(t: np.ndarray, q: np.ndarray) -> float:
-    """How badly a cubic through four neighbours predicts a position, over the given stamps and
-    over even ones: their ratio, the median over joints."""
-    if len(t) < 50:
-        return 1.0
-    step = np.diff(t)
-    windows = np.lib.stride_tricks.sliding_window_view(step, 4)
-    clean = (windows < SMALL_GAP * np.median(step)).all(1)
-    ends = np.ptp(q, 0)
-    moving = ends > 0.1 * ends.max()
-    if not moving.any() or clean.sum() < 20:
-        return 1.0
-    even = np.arange(len(t), dtype=float)
-    given, smooth = (
-        np.sqrt((_cubic_error(x, q[:, moving])[clean] ** 2).mean(0)) for x in (t, even)
-    )
-    return float(np.median(given / np.maximum(smooth, 1e-12)))
-
-
-def _cubic_error(t: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Each position minus the cubic through its two neighbours on either side (Lagrange)."""
-    nodes = {k: t[k : len(t) - 4 + k] for k in (0, 1, 3, 4)}
-    error = q[2:-2].copy()
-    for k, own in nodes.items():
-        others = [x for j, x in nodes.items() if j != k]
-        weight = np.prod([(t[2:-2] - x) / (own - x) for x in others], axis=0)
-        error -= weight[:, None] * q[k : len(t) - 4 + k]
-    return error

@@ -9,7 +9,7 @@ is what makes signs and the direction of gravity decidable from a log alone.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -45,7 +45,6 @@ class Normal:
         square: (B, n) of the torque.
         count: (B, n) rows.
         spread: (n,) variance of the torque about its mean, 0 where it never changes.
-        whole: (n, P, P) sum of gram, where it is known.
     """
 
     gram: np.ndarray
@@ -53,7 +52,6 @@ class Normal:
     square: np.ndarray
     count: np.ndarray
     spread: np.ndarray
-    whole: np.ndarray | None = None
 
     def part(self, blocks: np.ndarray) -> "Normal":
         """Normal equations of some blocks of time."""
@@ -63,15 +61,15 @@ class Normal:
 
     def without(self, block: int) -> "Normal":
         """Normal equations of all blocks of time but one."""
-        others = self.part(np.arange(len(self.count)) != block)
-        whole = None if self.whole is None else self.whole - self.gram[block]
-        return replace(others, whole=whole)
+        return self.part(np.arange(len(self.count)) != block)
 
     def apart(self, blocks: np.ndarray) -> "Normal":
-        """Some blocks one after the other, then all others together."""
+        """Some blocks one after the other, then all others together: added up, since what a
+        difference leaves of a joint that moves in these blocks alone is rounding."""
         every = self.gram, self.cross, self.square, self.count
+        others = np.delete(np.arange(len(self.count)), blocks)
         gram, cross, square, count = (
-            np.concatenate([x[blocks], [x.sum(0) - x[blocks].sum(0)]]) for x in every
+            np.concatenate([x[blocks], [x[others].sum(0)]]) for x in every
         )
         return Normal(gram, cross, square, count, self.spread)
 
@@ -142,8 +140,7 @@ def fit(normal: Normal, bodies: np.ndarray, given: Weights = None, used: Unknown
         given: (n,) weights of another fit, kept; None to find them.
         used: unknowns of another fit, from which the search for these begins.
     """
-    gram = normal.gram.sum(0) if normal.whole is None else normal.whole
-    cross = normal.cross.sum(0)
+    gram, cross = normal.gram.sum(0), normal.cross.sum(0)
     total = np.maximum(normal.count.sum(0), 1)
     live = normal.spread > 0
     spread = np.where(live, normal.spread, 1.0)

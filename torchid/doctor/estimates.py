@@ -1,7 +1,7 @@
 """What torque tells with an interval: where gravity points, and how late torque is logged."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +11,11 @@ from msgspec import structs
 from torchid.doctor.check import Check, Choice, judged, with_choices, worded_check
 from torchid.doctor.cone import fit
 from torchid.doctor.faults import choices_of, gravity_fix, improvement_text
-from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, minimum, profile
+from torchid.doctor.hypothesis import Hypothesis, Judge, Profile, lowest, profile
 from torchid.doctor.repair import ShiftTorque
 from torchid.doctor.runs import PIECES, loss_of, pieces_of_runs
 from torchid.doctor.search import Search
+from torchid.robot.model import joint_list
 from torchid.statistics.criteria import (
     CLEAR_GAIN,
     EXPLAINED,
@@ -26,8 +27,6 @@ from torchid.statistics.jackknife import from_left_out
 
 _LOOSE = math.radians(20.0)
 _STEP = math.radians(4.0)
-_LOOPS = tuple(math.log(0.03 * 2**k) for k in range(6))
-"""Logarithms of the shares of half a joint's range that are tried for a loop over position."""
 _GRID = (-0.04, -0.02, 0.02, 0.04)
 LIKELY = 0.5 * CLEAR_GAIN
 """What a lag must be worth when its interval lies beyond those that are not worth mending: heavy
@@ -105,7 +104,8 @@ def _estimate(judge: Judge, end: Hypothesis) -> tuple[np.ndarray, float, float, 
 
 
 def lag_of(judge: Judge, result: Search, *, first: bool = False) -> Profile | None:
-    """How late torque is [s] with all else mended; None where nothing moves with a torque.
+    """How late torque is [s] with all else mended, beside friction that builds up over a distance
+    after each reversal, which looks as late; None where nothing moves with a torque.
 
     Args:
         judge: of the log.
@@ -115,14 +115,9 @@ def lag_of(judge: Judge, result: Search, *, first: bool = False) -> Profile | No
     end, reach = result.final.hypothesis, judge.samples.reach - 1e-6
     if not judge.live(end):
         return None
-    grid, step = [end.late + x for x in _GRID], min(0.01, 0.1 * reach)
-    least = LIKELY - _searched(result) if first else -math.inf
-    return profile(judge, lambda late: _late(judge, end, late), grid, end.late, step, least)
-
-
-def _searched(result: Search) -> float:
-    """What lags that the search has found have gained already."""
-    return sum(f.gain for f in result.faults if f.move.kind == "lag")
+    grid, step = [end.late + x for x in (*_GRID, 0.0)], min(0.01, 0.1 * reach)
+    least = LIKELY if first else -math.inf
+    return profile(judge.looped, lambda late: _late(judge, end, late), grid, 0.0, step, least)
 
 
 def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
@@ -133,43 +128,22 @@ def _late(judge: Judge, end: Hypothesis, late: float) -> Hypothesis:
 def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     """`clear`, `likely` (its interval lies beyond what is worth mending), `long` (but nothing bears
     it out), or empty."""
-    gain = lag.gain + _searched(result)
     # 0.5: lags that are shorter than this many sampling steps are not worth mending
     least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
-    if result.explained and long and gain > CLEAR_GAIN:
+    # 0.5: share of a lag that may be left once it is mended: of one less known, nothing is mended
+    known = result.explained and away >= 0.5 * abs(lag.value)
+    if known and long and lag.gain > CLEAR_GAIN:
         return "clear"
-    if result.explained and away > least and gain > LIKELY:
+    if known and away > least and lag.gain > LIKELY:
         return "likely"
     return "long" if long else ""
 
 
-def looped(judge: Judge, result: Search, lag: Profile | None) -> Judge | None:
-    """A judge with a loop over position in the place of dry friction that steps, where a log's
-    torque looks late and this explains it better: a lag is one time at all speeds and amplitudes,
-    a loop is one distance. None where the torque is late, or nothing is."""
-    if lag is None or _lateness(judge, result, lag) not in ("clear", "likely"):
-        return None
-    end = result.final.hypothesis
-    starts = {Hypothesis.literal(judge.robot), replace(end, late=0.0)}
-    tried: list[tuple[float, float]] = []
-    for sign in (1.0, -1.0):
-
-        def loss(share: float, sign: float = sign) -> float:
-            loop = Judge(judge.robot, judge.samples.looped(sign * math.exp(share)))
-            tried.append((min(loop.score(start).loss for start in starts), loop.samples.loop))
-            return tried[-1][0]
-
-        minimum(loss, _LOOPS, 0.2)
-    least, share = min(tried)
-    if least >= judge.score(replace(end, late=lag.value)).loss:
-        return None
-    return Judge(judge.robot, judge.samples.looped(share))
-
-
 def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
-    """Lag of torque behind position [s], with an interval; it is none where runs differ in theirs.
+    """Lag of torque behind position [s], with an interval; it is none where joints or runs differ
+    in theirs.
 
     Args:
         judge: of the log.
@@ -187,24 +161,38 @@ def check_lag(judge: Judge, result: Search, lag: Profile | None) -> Check:
         text += " ({:.1f} to {:.1f} ms)".format(*sorted(sign * end for end in interval))
     else:
         text += ", which gains too little for a fault"
-    if judge.samples.loop:
-        text += "; a loop over position explains more than a lag"
     check = worded_check("lag", "fine", estimate=lag.value, interval=interval, text=text)
     late = _lateness(judge, result, lag)
     if late in ("clear", "likely"):
-        if apart := _lags_apart(judge, end, lag.value):
+        live = judge.live(end)
+        if apart := _shown_by(lag, live) or _lags_apart(judge.looped, end, lag.value):
             evidence = f"{text}; {apart}: a lag would be one time in all of them"
             return structs.replace(check, verdict="cannot tell", evidence=evidence)
         repair = ShiftTorque(float(f"{lag.value:.4g}"))
-        # A delay, gears or friction of the arm's own look the same where bodies explain the torque.
-        live = judge.live(end)
+        # A delay of the arm's own looks the same where bodies explain the torque, or of one joint.
         sure = late == "clear" and any(f.before[live].max() > EXPLAINED for f in searched)
+        sure &= len(live) > 1
         return structs.replace(check, verdict="wrong" if sure else "doubtful").mended_by(repair)
     # 0.05: half-width of an interval from which it says nothing of a lag [s]
     loose = interval is not None and 0.5 * (lag.high - lag.low) > 0.05
     if loose or searched or late or not result.explained:
         return structs.replace(check, verdict="cannot tell")
     return check
+
+
+def _shown_by(lag: Profile, live: Sequence[int]) -> str:
+    """The joints that show a lag, in words, where fewer than two of several do, or no more than
+    have less than half of it: what one joint has alone is its own; empty otherwise."""
+    if len(live) < 2 or lag.own is None:
+        return ""
+    sign = math.copysign(1.0, lag.value)
+    ends = np.sort(sign * lag.own[live, 1:], 1)
+    less = [k for k, (_, high) in zip(live, ends, strict=True) if high < 0.5 * abs(lag.value)]
+    shows = [k for k, (low, _) in zip(live, ends, strict=True) if low > 0]
+    if len(shows) > max(1, len(less)):
+        return ""
+    most = f"it shows in {joint_list(shows)} alone" if shows else "no joint shows it by itself"
+    return most + (f", and less than half of it in {joint_list(less)}" if less else "")
 
 
 def _lags_apart(judge: Judge, end: Hypothesis, late: float) -> str:

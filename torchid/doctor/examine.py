@@ -10,7 +10,7 @@ import numpy as np
 from torchid.doctor import clock, motion, torque, velocity
 from torchid.doctor.case import Case
 from torchid.doctor.check import Check, judged
-from torchid.doctor.estimates import check_gravity, check_lag, lag_of, looped
+from torchid.doctor.estimates import check_gravity, check_lag, lag_of
 from torchid.doctor.faults import UNTOLD, confirmed, denied_faults, fault_checks, unseen_faults
 from torchid.doctor.hypothesis import Hypothesis, Judge
 from torchid.doctor.kind import check_kind, holds_no_gravity, weightless
@@ -225,9 +225,6 @@ def _with_model(case: Case, given: Log, first: bool) -> Examination:
     judge = Judge(robot, rows)
     searched = search(judge, start, fixes, first=first)
     lag = lag_of(judge, searched, first=first)
-    if (loop := looped(judge, searched, lag)) is not None:
-        judge, searched = loop, search(loop, start, fixes)
-        lag = lag_of(judge, searched, first=first)
     # What currents without gains hold is asked when there are gains.
     kind = None if case.log.tau is None else check_kind(judge, searched.final.hypothesis)
     if kind is not None and not holds_no_gravity(kind):

@@ -4,13 +4,14 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 
 from torchid.doctor.cone import OWN, Columns, Fit, Normal, Unknowns, Weights, cone, fit, shares
 from torchid.doctor.repair import Map
-from torchid.doctor.samples import BLOCKS, MOVING, Samples, direction_of
+from torchid.doctor.samples import BLOCKS, LOOPS, MOVING, Samples, direction_of
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor
 from torchid.robot.model import Robot
@@ -91,13 +92,18 @@ class Judge:
         robot: whose bodies are fitted.
         samples: of the log.
         springs: whether a joint may have a spring, too: what looks like a joint's gravity.
+        loops: whether dry friction may build up over a distance, too, after each reversal: what
+            looks like a delay of the torque.
     """
 
-    def __init__(self, robot: Robot, samples: Samples, *, springs: bool = False):
+    def __init__(
+        self, robot: Robot, samples: Samples, *, springs: bool = False, loops: bool = False
+    ):
         self.robot = robot
         self.samples = samples
         self.springs = springs
-        self.cone = cone(robot, OWN + springs)
+        self.loops = loops
+        self.cone = cone(robot, OWN + springs + loops * len(LOOPS))
         self._used: Unknowns = ()
         self._scores: dict[tuple, Score] = {}
         self._columns: dict[tuple, Columns] = {}
@@ -106,6 +112,11 @@ class Judge:
         self._torques: dict[float, np.ndarray] = {}
         ends = np.searchsorted(samples.block.numpy(), np.arange(BLOCKS + 1)).tolist()
         self.members = [slice(*pair) for pair in itertools.pairwise(ends)]
+
+    @cached_property
+    def looped(self) -> "Judge":
+        """One beside which lags are judged: with loops over position of each joint's own."""
+        return Judge(self.robot, self.samples, springs=self.springs, loops=True)
 
     def score(self, hypothesis: Hypothesis, weights: Weights = None) -> Score:
         """The fit on all rows; with given weights of a fit that was made, three times faster."""
@@ -155,7 +166,7 @@ class Judge:
         spread = (tau**2).sum(0) / rows - (tau.sum(0) / rows) ** 2
         dead = (spread < 1e-12 * max(1e-300, spread.max())) | (rows < FEWEST * BLOCKS)
         spread[dead] = 0.0
-        return Normal(gram, np.stack(cross), np.stack(square), counts, spread, columns.gram)
+        return Normal(gram, np.stack(cross), np.stack(square), counts, spread)
 
     def torque(self, hypothesis: Hypothesis) -> np.ndarray:
         """(T, n) torque of the robot's joints."""
@@ -215,25 +226,26 @@ class Judge:
 
     def own(self, hypothesis: Hypothesis) -> torch.Tensor:
         """(T, n, OWN) what is each joint's own: dq, direction of motion, ddq, one; with springs q
-        before the last."""
-        q, dq, ddq, sign = self.motion(hypothesis).unbind(-1)
-        return torch.stack([dq, sign, ddq, *[q] * self.springs, torch.ones_like(dq)], -1)
+        before the last, with loops those over position."""
+        q, dq, ddq, sign, *loops = self.motion(hypothesis).unbind(-1)
+        some = [q] * self.springs + loops * self.loops
+        return torch.stack([dq, sign, ddq, *some, torch.ones_like(dq)], -1)
 
     def nominal(self, hypothesis: Hypothesis, gravity: torch.Tensor | None = None) -> torch.Tensor:
         """(T, n) torque of the robot's own parameters, under the hypothesis's gravity or this."""
         if gravity is None:
             gravity = torch.tensor(hypothesis.gravity, dtype=torch.float64)
-        q, dq, ddq, _ = self.motion(hypothesis).unbind(-1)
+        q, dq, ddq = self.motion(hypothesis)[..., :3].unbind(-1)
         return inverse_dynamics(replace(self.robot, gravity=gravity), q, dq, ddq)
 
     def motion(self, hypothesis: Hypothesis) -> torch.Tensor:
-        """(T, n, 4) q, dq, ddq and direction of the robot's joints."""
+        """(T, n, 4 + K) q, dq, ddq, direction and loops of the robot's joints."""
         columns, q = self.samples.motion, hypothesis.q
         places = q.of_columns(columns[..., 0], places=True)
         rates = (q.of_columns(columns[..., k]) for k in (1, 2))
         sign = torch.tensor(q.factors, dtype=torch.float64).sign()
-        direction = columns[:, list(q.order), 3] * sign
-        motion = torch.stack([places, *rates, direction], -1)
+        dry = columns[:, list(q.order), 3:] * sign[:, None]
+        motion = torch.cat([torch.stack([places, *rates], -1), dry], -1)
         for k, _, _ in q.coupled:
             motion[:, k, 3] = direction_of(motion[:, k, 1], dim=0)
         return motion
@@ -260,12 +272,15 @@ class Profile:
         low, high: 95 %, from leaving out one block of time after the other; infinite where they
             were not asked.
         gain: by how much the loss is lower than at the starting value.
+        own: (n, 3) value, low and high that each joint's torque has by itself, within two steps;
+            NaN of one that tells nothing; None where no interval was asked.
     """
 
     value: float
     low: float
     high: float
     gain: float
+    own: np.ndarray | None = None
 
 
 def profile(
@@ -297,14 +312,20 @@ def profile(
     values = (best - step, best, best + step)
     normals = [judge.normal(family(x), judge.members) for x in values]
     weights = judge.fit(normals[1]).weights
-    estimates = []
+    errors = [[judge.score(family(x)).errors for x in values]]
     for b in range(BLOCKS):
         others = [normal.without(b) for normal in normals]
-        errors = [shares(judge.fit(x, weights).variance, x.spread) for x in others]
-        estimates.append(_vertex(values, [float(np.log(e).sum()) for e in errors]))
-    left_out = torch.tensor(estimates, dtype=torch.float64).unsqueeze(1)
-    low, high = from_left_out(left_out).interval(left_out.new_tensor([best]))[0].tolist()
-    return Profile(best, low, high, gain)
+        errors.append([shares(judge.fit(x, weights).variance, x.spread) for x in others])
+    # Of all joints together, then of each one: as it is, and a block left out.
+    logs = np.log(np.array(errors)).transpose(0, 2, 1)
+    logs = np.concatenate([logs.sum(1, keepdims=True), logs], 1)
+    each = torch.tensor([[_vertex(values, x.tolist()) for x in own] for own in logs]).double()
+    each[0, 0] = best
+    ends = from_left_out(each[1:]).interval(each[0])
+    low, high = ends[0].tolist()
+    own = torch.cat([each[0, 1:, None], ends[1:]], 1).numpy()
+    own[logs[0, 1:] @ [1, -2, 1] <= 0] = np.nan
+    return Profile(best, low, high, gain, own)
 
 
 def minimum(

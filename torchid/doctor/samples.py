@@ -14,6 +14,9 @@ BLOCKS = 8
 """Blocks of time that are held out in turn; longer than any filter's or friction's memory."""
 MOVING = 0.5
 """Smoothed direction of motion from which a joint moves [1]."""
+LOOPS = tuple(0.1 / 4**k for k in range(5))
+"""Shares of half a joint's range over which friction builds up after a reversal: from what gears
+wind up by to what a joint goes within the filter's time; what lies between is made of two."""
 _CUTOFF_HZ = (2.0, 12.0)
 _PER_PERIOD = 6.0
 
@@ -24,7 +27,7 @@ class Stretch:
 
     Attributes:
         t: (T,) [s].
-        motion: (T, n, 4) q, dq, ddq, smoothed, and smoothed direction of motion.
+        motion: (T, n, 4 + K) q, dq, ddq, direction of motion and K loops over position, smoothed.
         moving: (T, n) whether each joint moves: at rest, static friction holds any torque.
         tau: (T, n) smoothed torque (or current).
         inside: samples at either end that a shift of the torque may use and rows may not.
@@ -59,8 +62,6 @@ class Samples:
         run: (T,) trajectory of the log that each row is of, from 0.
         reach: how far torque may be shifted [s].
         step: of the log on its uniform grid [s].
-        loop: share of half a joint's range over which dry friction builds up; 0: at once; negative:
-            as bristles bend (Dahl), and not along a straight line.
     """
 
     log: Log
@@ -71,26 +72,14 @@ class Samples:
     run: Int[Tensor, " T"]
     reach: float
     step: float
-    loop: float = 0.0
-
-    def looped(self, share: float) -> "Samples":
-        """These samples, with a loop over position in the place of the direction of motion: dry
-        friction that builds up after each reversal (presliding, play, a brake's band)."""
-        made = samples(self.log, share)
-        assert isinstance(made, Samples)
-        return made
 
     def torque(self, late: float = 0.0) -> Float[Tensor, "T n"]:
         """Torque of the rows, read `late` seconds later than their motion."""
         return torch.cat([s.torque(late) for s in self.stretches])
 
 
-def samples(log: Log, loop: float = 0.0) -> Samples | str:
+def samples(log: Log) -> Samples | str:
     """Rows for the model checks, or in words why there are none: no torque, or too short a log.
-
-    Args:
-        log: with torques or currents.
-        loop: as of `Samples`.
 
     The cut-off is four times the frequency below which 98 % of the motion's velocity lies.
     """
@@ -105,11 +94,9 @@ def samples(log: Log, loop: float = 0.0) -> Samples | str:
         return f"no trajectory has more than {fewest} samples"
     cutoff = max(_cutoff(p, rate) for p, rate, _ in usable)
     total = sum(p.samples / rate for p, rate, _ in usable)
-    lengths, ways = 0.5 * loop * (even.q.amax(0) - even.q.amin(0)), even.least_way
+    extent, ways = even.q.amax(0) - even.q.amin(0), even.least_way
     # 1600: samples kept, spread evenly
-    made = [
-        (_stretch(p, rate, cutoff, 1600 / total, lengths, ways), run) for p, rate, run in usable
-    ]
+    made = [(_stretch(p, rate, cutoff, 1600 / total, extent, ways), run) for p, rate, run in usable]
     kept = [s for s, _ in made if s is not None]
     runs = [torch.full_like(s.t[s.inside], run) for s, run in made if s]
     count = sum(len(s.t[s.inside]) for s in kept)
@@ -129,7 +116,6 @@ def samples(log: Log, loop: float = 0.0) -> Samples | str:
         run=torch.cat(runs).long() if runs else torch.zeros(0).long(),
         reach=min(float(s.t[s.inside.start] - s.t[0]) for s in kept),
         step=1.0 / max(rate for _, rate, _ in usable),
-        loop=loop,
     )
 
 
@@ -147,7 +133,7 @@ def _cutoff(log: Log, rate: float) -> float:
 
 
 def _stretch(
-    log: Log, rate: float, cutoff: float, most_per_second: float, lengths: Tensor, least: Tensor
+    log: Log, rate: float, cutoff: float, most_per_second: float, widest: Tensor, least: Tensor
 ) -> Stretch | None:
     low, torque = ZeroPhaseFilter(rate, cutoff), log.tau if log.tau is not None else log.current
     assert torque is not None
@@ -160,15 +146,14 @@ def _stretch(
     extent = q.amax(-1, keepdim=True) - q.amin(-1, keepdim=True)
     moving = (sign.abs() > MOVING) & (extent > least[:, None])
     every = max(1, int(rate / max(_PER_PERIOD * cutoff, 0.0)), int(rate / most_per_second))
-    if bool(lengths.any()):
-        sign = low.apply(_loop(smooth, lengths))
     # Torque is interpolated between kept samples, which must not be sparser than its band.
     fine = max(1, int(rate / (_PER_PERIOD * cutoff)))
     every = fine if every < 2 * fine else every
     picked = slice(0, None, every)
     edge = max(round(rate / cutoff), round(0.25 * rate))
     edge = -(-min(edge, log.samples // 6) // every)
-    motion = torch.stack([q, dq, central_difference(dq, rate), sign], -1)
+    loops = low.apply(_loops(smooth, 0.5 * widest))
+    motion = torch.stack([q, dq, central_difference(dq, rate), sign, *loops], -1)
     motion, moving, tau = (
         x.transpose(0, 1)[picked].contiguous() for x in (motion, moving, low.apply(torque.T))
     )
@@ -185,14 +170,18 @@ def direction_of(dq: Tensor, dim: int = -1) -> Tensor:
     return torch.tanh(dq / (0.02 * fast).clamp(min=1e-3))
 
 
-def _loop(q: Float[Tensor, "n T"], lengths: Float[Tensor, " n"]) -> Float[Tensor, "n T"]:
-    """What follows each joint's position within -1 and 1, one per length [rad or m], and stays
-    there while it moves on; of a negative length it comes near as Dahl's friction does."""
-    size = lengths.abs().clamp(min=1e-12).unsqueeze(-1)
-    step = (q.diff(dim=-1, prepend=q[:, :1]) / size).T.numpy()
-    loop, z, bent = np.zeros(step.shape), np.zeros(len(q)), bool((lengths < 0).any())
-    kept, end = np.exp(-np.abs(step)), np.sign(step)
-    for k, change in enumerate(step):
-        z = end[k] + (z - end[k]) * kept[k] if bent else np.clip(z + change, -1.0, 1.0)
-        loop[k] = z
-    return torch.from_numpy(loop.T.copy())
+def _loops(q: Float[Tensor, "n T"], half: Float[Tensor, " n"]) -> Float[Tensor, "K n T"]:
+    """What follows each joint's position within -1 and 1, over each of the lengths, and stays
+    there while it moves on: elements of a friction that builds up after a reversal (Maxwell slip;
+    presliding, play, gears that wind up).
+
+    Args:
+        q: positions [rad or m].
+        half: half of each joint's range.
+    """
+    lengths = torch.tensor(LOOPS).double()[:, None] * half.clamp(min=1e-9)
+    steps = (q.diff(dim=-1, prepend=q[:, :1]) / lengths.unsqueeze(-1)).permute(2, 0, 1).numpy()
+    loops, z = np.empty_like(steps), np.zeros(steps.shape[1:])
+    for step, out in zip(steps, loops, strict=True):
+        z = np.minimum(np.maximum(z + step, -1.0), 1.0, out=out)
+    return torch.from_numpy(loops).permute(1, 2, 0)

@@ -8,6 +8,7 @@ import numpy as np
 from torchid.doctor.cone import MODEL
 from torchid.doctor.hypothesis import Hypothesis, Judge, Score
 from torchid.doctor.moves import Group, Move, all_moves, alternatives, invisible_groups, joint_sign
+from torchid.doctor.push import pushed_loss
 from torchid.statistics.criteria import (
     AGREEING_BLOCKS,
     CLEAR_GAIN,
@@ -176,7 +177,7 @@ def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[FoundFault, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
-    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN]
+    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN and _stands(judge, m)]
     tried = []
     # 5: best moves that are looked at closely
     for cost, m in clear[:5]:
@@ -201,6 +202,17 @@ def _best(
     rivals = tuple({x[1].name: x[1] for x in tied if x[1].name != move.name}.values())
     before, after = rms(held), rms(errors)
     return FoundFault(move, before, after, gain, (agreeing, judged), rivals), errors
+
+
+def _stands(judge: Judge, move: Move) -> bool:
+    """Whether a lag wins beside friction that builds up after reversals, too, and a coupling
+    explains more than a push at one link does; true of all else."""
+    if move.kind == "lag":
+        before, after = (judge.looped.score(h).loss for h in (move.before, move.after))
+        return after < before - CLEAR_GAIN
+    if move.kind == "coupling":
+        return judge.score(move.after).loss < pushed_loss(judge, move.before) - TIED_GAIN
+    return True
 
 
 def rms(errors: np.ndarray) -> np.ndarray:

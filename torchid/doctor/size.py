@@ -88,7 +88,7 @@ def other_moments(judge: Judge, hypothesis: Hypothesis, joints: Collection[int])
     robot, axes = judge.robot, dict[int, str]()
     if robot.parameters is None or not robot.parameters.pi.any():
         return axes
-    q, dq, ddq, _ = judge.motion(hypothesis).unbind(-1)
+    q, dq, ddq = judge.motion(hypothesis)[..., :3].unbind(-1)
     moments = joint_wrenches(robot, q, dq, ddq)[..., 3:].numpy()
     own, tau = judge.own(hypothesis).numpy(), judge.torque(hypothesis)
     moving = judge.moving(hypothesis)

@@ -22,6 +22,7 @@ from torchid.log.stamps import (
     UNIFORM,
     Steps,
     off_grid,
+    regular_clock,
     stamps_of,
     typical_step,
 )
@@ -38,7 +39,8 @@ def resampled(log: Log) -> tuple[Log, tuple[int, ...]]:
     """The log on a uniform grid, one a trajectory, and which trajectory of it each one was part of.
 
     The step is the median step of the trajectory, and one step for all of them if theirs agree
-    within 1 %. Time stamps that are uniform already are only set straight. A gap longer than
+    within 1 %. Time stamps that are uniform already are only set straight, and so are those that
+    jitter about a regular clock over which positions are smoother. A gap longer than
     0.25 s or 20 steps splits a trajectory; pieces shorter than 1 s are dropped. What was done is
     said in the warnings of the result.
 
@@ -50,7 +52,7 @@ def resampled(log: Log) -> tuple[Log, tuple[int, ...]]:
     steps: list[float] = []
     runs: list[int] = []
     for run, (trajectory, t) in enumerate(zip(log.trajectories(), stamps_of(log), strict=True)):
-        own = _split_at_gaps(trajectory, t, warnings)
+        own = [_on_clock(x, warnings) for x in _split_at_gaps(trajectory, t, warnings)]
         runs += [run] * len(own)
         # What was one trajectory has one step, however uneven its parts are.
         typical = [typical_step(x) for piece in own for x in stamps_of(piece)]
@@ -137,6 +139,19 @@ def _split_at_gaps(log: Log, t: np.ndarray, warnings: list[str]) -> list[Log]:
         )
     warnings.append(text + ".")
     return pieces
+
+
+def _on_clock(log: Log, warnings: list[str]) -> Log:
+    """A log of one trajectory with the stamps of a regular clock, where they jitter about one."""
+    t = log.t.detach().cpu().numpy()
+    clock = regular_clock(t, log.q.detach().cpu().numpy())
+    if clock is None:
+        return log
+    warnings.append(
+        f"{log.names[0]}: stamps jitter by {1e3 * float(np.std(t - clock)):.2g} ms about a regular "
+        "clock, over which positions are smoother: it is taken."
+    )
+    return log.replace(t=torch.from_numpy(clock).to(log.t.device))
 
 
 def _onto_grid(log: Log, step: float, warnings: list[str]) -> Log:

@@ -110,3 +110,54 @@ def rates_of(log: "Log") -> tuple[float, ...]:
     if max(rates) <= (1.0 + ROUNDING) * min(rates):
         return (float(np.median(rates)),) * len(rates)
     return tuple(rates)
+
+
+def regular_clock(t: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+    """The regular clock (T,) [s], with rows that are missing, that stamps jitter about by less than
+    half a step, where positions are smoother over it; None where stamps tell more, or where
+    they are regular.
+
+    Args:
+        t: (T,) stamps without long gaps [s].
+        q: (T, n) positions.
+    """
+    steps, since = np.diff(t), t - t[0]
+    place = np.r_[0.0, np.rint(steps / np.median(steps)).cumsum()]
+    # Two stamps that jitter towards each other are one place at first.
+    for _ in range(2):
+        step, start = np.polyfit(place, since, 1)
+        place = np.rint((since - start) / step)
+    clock = t[0] + start + step * place
+    if (np.diff(place) < 1).any() or np.abs(t - clock).max() <= UNIFORM * step:
+        return None
+    # 1.1: ratio of what is chance, where neither moves or noise is all that there is
+    return clock if roughness_ratio(t, clock, q) > 1.1 else None
+
+
+def roughness_ratio(t: np.ndarray, other: np.ndarray, q: np.ndarray) -> float:
+    """How badly a cubic through four neighbours predicts positions (T, n), over the given stamps
+    (T,) and over others (T,): their ratio, the median over joints."""
+    if len(t) < 50:
+        return 1.0
+    step = np.diff(t)
+    windows = np.lib.stride_tricks.sliding_window_view(step, 4)
+    clean = (windows < SMALL_GAP * np.median(step)).all(1)
+    ends = np.ptp(q, 0)
+    moving = ends > 0.1 * ends.max()
+    if not moving.any() or clean.sum() < 20:
+        return 1.0
+    given, smooth = (
+        np.sqrt((_cubic_error(x, q[:, moving])[clean] ** 2).mean(0)) for x in (t, other)
+    )
+    return float(np.median(given / np.maximum(smooth, 1e-12)))
+
+
+def _cubic_error(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Each position minus the cubic through its two neighbours on either side (Lagrange)."""
+    nodes = {k: t[k : len(t) - 4 + k] for k in (0, 1, 3, 4)}
+    error = q[2:-2].copy()
+    for k, own in nodes.items():
+        others = [x for j, x in nodes.items() if j != k]
+        weight = np.prod([(t[2:-2] - x) / (own - x) for x in others], axis=0)
+        error -= weight[:, None] * q[k : len(t) - 4 + k]
+    return error
