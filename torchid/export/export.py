@@ -10,8 +10,12 @@ from typing import Literal, get_args
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
 from torchid.export.dynamics import (
-    Dynamics, effect_text, folded_robot, nearest_representative, random_states,
-)  # fmt: skip
+    Dynamics,
+    effect_text,
+    folded_robot,
+    nearest_representative,
+    random_states,
+)
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, Places
 from torchid.export.releases import has_field, lacking

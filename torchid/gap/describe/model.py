@@ -195,15 +195,11 @@ def _cause(library: Library, term: Term) -> Part:
         if effect is not None:
             links = [robot.own_links[term.joints[0]] if term.joints else links[-1]]
         pi = robot.require_parameters("a cause").pi.double()
-        load = library.problem.load if term.name == PAYLOAD else None
+        there = {LINK: tuple(pi[links[0]].tolist()), PAYLOAD: library.problem.load}
         return make(
-            known=tuple(pi[links[0]].tolist())
-            if term.name == LINK
-            else none
-            if load is None
-            else load,
+            known=there.get(term.name, none),
             rows=torch.cat([torch.arange(10 * link, 10 * link + 10) for link in links]),
-            bodies=_bodies(pi, links, load),
+            bodies=_bodies(pi, links, there[PAYLOAD] if term.name == PAYLOAD else None),
         )
     known = none if term.common else _known(effect, given)
     # In the place of the model's own it is the whole of it.
@@ -220,8 +216,8 @@ def _known(effect: Effect, model: Model) -> tuple[float, ...]:
 def _bodies(
     pi: Float[Tensor, "L 10"], links: list[int], load: tuple[float, ...] | None
 ) -> Bodies | None:
-    """Bodies that stay bodies: a load together with the one that the model has, of which no more is
-    known, or links that are bodies."""
+    """Bodies that stay bodies: a load, of which no more is known, beside the one that the file has,
+    or links that are bodies."""
     usual = usual_bodies(pi)
     if load is not None:
         return some_body(usual[-1], torch.tensor(load, dtype=torch.float64))
@@ -427,9 +423,8 @@ def _with_deviations(
     # in units of what an independent sample leaves.
     whole = torch.cat(best.values)
     flat = (best.a * weight).flatten(1)
-    loose = _loose(
-        best, flat @ flat.T, flat @ (best.left * weight).flatten() + flat @ flat.T @ whole
-    )
+    gram = flat @ flat.T
+    loose = _loose(best, gram, flat @ (best.left * weight).flatten() + gram @ whole)
     found = fit_statistics(
         flat.T, (best.left * weight).flatten(), block.repeat(len(best.left)), variance=1.0,
         known=prior.squares,
@@ -460,7 +455,7 @@ def _with_deviations(
     std = covariance.diagonal().clamp(min=0).sqrt()
     # What these columns leave open has the size that it can have on this robot, or more; of a load,
     # whatever a slab says of its ten numbers.
-    open_ = undetermined(flat @ flat.T + prior.squares)
+    open_ = undetermined(gram + prior.squares)
     for k, p in enumerate(best.parts):
         if p.name == PAYLOAD:
             own = best.at(k)
@@ -475,14 +470,10 @@ def _loose(
 ) -> Float[Tensor, " K"] | None:
     """Coefficients (K,) at the minimum beside normal equations where a load need be no body; None
     where it is one all the same, or there is none."""
+    loads = [(best.at(k), p.bodies) for k, p in enumerate(best.parts) if p.name == PAYLOAD]
     parts = [replace(p, bodies=None) if p.name == PAYLOAD else p for p in best.parts]
-    own = [k for k, p in enumerate(parts) if p is not best.parts[k]]
-    if not own:
-        return None
-    loose = within_physics(parts, prior_of(parts), matrix, right)
-    load = best.parts[own[0]].bodies
-    assert load is not None
-    return None if load.are(loose[best.at(own[0])]) else loose
+    x = within_physics(parts, prior_of(parts), matrix, right) if loads else right
+    return None if all(b is None or b.are(x[own]) for own, b in loads) else x
 
 
 def undetermined(matrix: Float[Tensor, "K K"]) -> Bool[Tensor, " K"]:

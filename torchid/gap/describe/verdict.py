@@ -126,7 +126,7 @@ def warnings_of(
             f"nearest in torque, {size} from it on joint {worst + 1}, where most."
         )
     if any(c.effect == PAYLOAD for c in causes):
-        out += _doubt_of_load(found)
+        out += _doubt_of_load(decision)
     if problem.fitted_first:
         out.append(
             "The robot has no inertial parameters. Base parameters were fitted first, so the gap "
@@ -147,8 +147,9 @@ def warnings_of(
     return out
 
 
-def _doubt_of_load(found: Explanation) -> list[str]:
+def _doubt_of_load(decision: Decision) -> list[str]:
     """That a load is no body, where ten numbers that no body has explain much more."""
+    found = decision.found
     if found.solution.of_load is None:
         return []
     body, numbers = (x.clamp(min=1e-300) for x in found.solution.of_load)
