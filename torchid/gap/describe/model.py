@@ -407,7 +407,7 @@ def solve_parts(
         whole = within_physics(taken, prior, gram, flat @ (left * weight).flatten() + gram @ whole)
         values = list(whole.split([len(v) for v in values]))
     assert best is not None
-    return _with_deviations(best, data, block, prior, weight) if len(best.a) else best
+    return _with_deviations(best, data, block, prior, weight, steps > 0) if len(best.a) else best
 
 
 def _with_deviations(
@@ -416,15 +416,18 @@ def _with_deviations(
     block: Int[Tensor, " N"],
     prior: Prior,
     weight: Float[Tensor, "n N"],
+    fitted: bool,
 ) -> Solution:
-    """A solution with the covariance of its coefficients; rows count by their weights."""
+    """A solution with the covariance of its coefficients; rows count by their weights. Only a load
+    that was fitted is held against any ten numbers."""
     # Standard deviations from the spread of whole blocks of samples, all joints together, and from
     # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
     # in units of what an independent sample leaves.
     whole = torch.cat(best.values)
     flat = (best.a * weight).flatten(1)
     gram = flat @ flat.T
-    loose = _loose(best, gram, flat @ (best.left * weight).flatten() + gram @ whole)
+    right = flat @ (best.left * weight).flatten() + gram @ whole
+    loose = _loose(best, gram, right) if fitted else None
     found = fit_statistics(
         flat.T, (best.left * weight).flatten(), block.repeat(len(best.left)), variance=1.0,
         known=prior.squares,
