@@ -36,16 +36,17 @@ def load_in(found: TorqueDiagnosis) -> InertialParameters:
 
 @pytest.mark.parametrize("to", ["mjcf", "urdf"])
 def test_a_point_on_the_tip_of_two_joints_goes_into_a_file(to, tmp_path):
-    """Six of its ten numbers make no torque: no motion in a plane tells them."""
-    joint, link = {"type": "R", "alpha": 0, "d": 0, "theta": 0}, [0.002, 0, 0, 0.03, 0, 0.03]
+    """Six of its ten numbers make no torque, Jyy = m x^2 among them: no motion in a plane tells
+    them, and left at zero they are no body's."""
+    joint, link = {"type": "R", "alpha": 0, "d": 0, "theta": 0}, [0.002, 0, 0, 0.04, 0, 0.04]
     robot = from_mapping(
         {
             "name": "two",
             "gravity": [0, -9.81, 0],
-            "dh": {"convention": "classical", "joints": [joint | {"a": 0.4}, joint | {"a": 0.3}]},
+            "dh": {"convention": "modified", "joints": [joint | {"a": 0}, joint | {"a": 0.4}]},
             "parameters": {
                 "mass": [3, 1.5],
-                "com": [[-0.2, 0, 0]] * 2,
+                "com": [[0.2, 0, 0]] * 2,
                 "inertia_about_com": [link] * 2,
             },
             "limits": {"position": [2.5, 2.5], "velocity": [3, 3], "acceleration": [10, 10]},
@@ -54,7 +55,7 @@ def test_a_point_on_the_tip_of_two_joints_goes_into_a_file(to, tmp_path):
     )
     runs = [random_trajectory(robot, seed, duration=8.0, fill=True) for seed in (0, 1)]
     motion = Log.concatenate([trajectory_log(run, 100.0) for run in runs])
-    log = torchid.simulate(carrying(1.0, (0.0, 0.0, 0.0), 0.0, robot), motion)
+    log = torchid.simulate(carrying(1.0, (0.4, 0.0, 0.0), 0.0, robot), motion)
     found = torchid.diagnose(robot, log, settings=ALONE, force=True)
     (cause,) = found.causes
     assert cause.parameters["m"] == load_in(found).mass.item() == pytest.approx(1.0, rel=0.01)
