@@ -254,6 +254,17 @@ def test_a_payload_becomes_part_of_the_last_link(tmp_path):
     assert all(c.ok is not False for c in exported(both, "urdf", tmp_path).comparisons)
 
 
+def test_a_payload_that_is_no_body_is_not_exported(tmp_path):
+    """Its link alone is one, and the error says that the two together are none."""
+    hung = {"effect": "payload", "m": 1.5, "mx": 0.6, "my": 0.0, "mz": 0.0}
+    hung |= dict.fromkeys(("Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz"), 0.0)
+    robot = with_other(arm("3r"), effects=(hung,))
+    with pytest.raises(TorchidError, match="infeasible, so not exported") as error:
+        exported(robot, "urdf", tmp_path)
+    assert "inertia_3" in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("name", ["3r", "panda", "ur10e", "mixed"])
 def test_the_yaml_is_lossless(tmp_path, name):
     robot = with_other(arm(name))

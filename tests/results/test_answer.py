@@ -219,3 +219,9 @@ def test_of_causes_without_numbers_so_far_joints_and_names_are_said():
     text = str(Answer.so_far("error", "mrad", (3.0, 1.0), joints, causes))
     assert "joints 2 and 3  " in text
     assert "command delay" in text
+
+
+@pytest.mark.parametrize(("was", "determined"), [(None, False), (0.5, True), (0.005, False)])
+def test_what_is_gone_is_determined_by_what_the_file_has(was, determined):
+    size = Size(name="m", unit="kg", value=0.001, std=0.01, was=was)
+    assert size.determined == determined

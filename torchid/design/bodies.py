@@ -331,13 +331,16 @@ def links_near(
     return tuple(Bodies(at, *own) for own in parts)
 
 
-def some_body(usual: Float[Tensor, " 10"]) -> Bodies:
-    """A body of which nothing is known but that it is one, up to a small one: so well at most is
-    known what it is fixed to."""
-    least = INSIDE * usual.unsqueeze(0)
+def some_body(usual: Float[Tensor, " 10"], there: Float[Tensor, " 10"]) -> Bodies:
+    """A body of which nothing is known but that it is one, with what is there already.
+
+    Args:
+        usual: a small body of its size.
+        there: parameters that are corrected; zeros of a body that is wholly new.
+    """
+    usual, at = usual.unsqueeze(0), torch.arange(PARAMETERS_PER_LINK).unsqueeze(0)
     zero = torch.zeros(1, PARAMETERS_PER_LINK, PARAMETERS_PER_LINK, dtype=torch.float64)
-    at = torch.arange(PARAMETERS_PER_LINK).unsqueeze(0)
-    return Bodies(at, usual.unsqueeze(0), least, zero, _triangles(usual.unsqueeze(0)))
+    return Bodies(at, there.unsqueeze(0), INSIDE * usual, zero, _triangles(usual))
 
 
 def together(bodies: "list[Bodies]") -> Bodies | None:

@@ -9,7 +9,13 @@ from typing import Literal, get_args
 
 from torchid.errors import TorchidError
 from torchid.export.checks import Comparison
-from torchid.export.dynamics import Dynamics, effect_text, nearest_representative, random_states
+from torchid.export.dynamics import (
+    Dynamics,
+    effect_text,
+    folded_robot,
+    nearest_representative,
+    random_states,
+)
 from torchid.export.nearest import nearest_bodies
 from torchid.export.record import ExportRecord, Places
 from torchid.export.releases import has_field, lacking
@@ -239,6 +245,10 @@ def _bodies(
         found = check_sets(written, nominal_set(written), geometry=geometry)
     if not force:
         require_feasible(dynamics, found)
+        # Boxes are of links alone; with what they carry they are bodies all the same.
+        whole = folded_robot(written)
+        if whole is not written:
+            require_feasible(dynamics, check_sets(whole, nominal_set(whole), geometry="none"))
     return dynamics, written, found
 
 

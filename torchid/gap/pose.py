@@ -12,7 +12,7 @@ from torchid.gap.folds import make_folds
 from torchid.gap.problem import Problem
 from torchid.gap.settings import GapSettings
 from torchid.gap.wanted import pushes_alone, start_of, wanted_of
-from torchid.identification.knowledge import whole_arm
+from torchid.identification.knowledge import load_of, whole_arm
 from torchid.log.model import Log
 from torchid.robot.model import Robot
 
@@ -25,7 +25,7 @@ def pose(
     Raises:
         LogError: logs that do not fit the robot or cannot be used.
     """
-    robot = whole_arm(robot)
+    load, robot = load_of(robot), whole_arm(robot)
     # Trajectories, what they repeat, and which of them are held out together.
     data, judged = read(robot, log, held_out, settings, force)
     repeats = find_repeats(data.segments)
@@ -49,5 +49,5 @@ def pose(
         data = data.with_swings(given)
     block, fitted_first = blocks_of(data, given), robot.parameters is None
     return Problem(
-        given, data, judged, folds, block, repeats, apart, wanted, settings, fitted_first
+        given, data, judged, folds, block, repeats, apart, wanted, settings, fitted_first, load=load
     )

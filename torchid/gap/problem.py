@@ -11,6 +11,7 @@ from torchid.gap.folds import Folds
 from torchid.gap.settings import GapSettings
 from torchid.gap.wanted import Wanted
 from torchid.results.cause import JudgedOn
+from torchid.robot.inertia import PARAMETERS_PER_LINK
 from torchid.robot.model import Robot
 from torchid.statistics.bagging import Draws
 from torchid.typing import Bool, Int, Tensor
@@ -33,6 +34,8 @@ class Problem:
         fitted_first: whether the model as given was fitted, because the robot has no parameters.
         asked: (N,) samples of the log whose gap is asked for, where data, folds, blocks and repeats
             are those of an earlier log as well; None where there is none.
+        load: ten parameters of the load that the robot's file has, which the robot as given has in
+            its last link; zeros where it has none.
     """
 
     given: Columns
@@ -46,6 +49,7 @@ class Problem:
     settings: GapSettings
     fitted_first: bool
     asked: Bool[Tensor, " N"] | None = None
+    load: tuple[float, ...] = (0.0,) * PARAMETERS_PER_LINK
 
     @property
     def robot(self) -> Robot:

@@ -16,6 +16,7 @@ from msgspec import structs
 
 from torchid.design.columns import Model
 from torchid.design.segments import Segment
+from torchid.effects.inertia import Payload
 from torchid.effects.motion import Motion
 from torchid.effects.registry import EVENTS
 from torchid.errors import LogError
@@ -38,6 +39,7 @@ from torchid.gap.describe.where import where
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch, telling
 from torchid.gap.pose import pose
+from torchid.gap.problem import Problem
 from torchid.gap.record import Budget, Known
 from torchid.gap.rows import LogRows, kept
 from torchid.gap.settings import GapSettings
@@ -121,7 +123,7 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
     taken = Taken.of(falls, checked.far, final.far)
     # What is recommended is a robot of bodies; what that costs is said.
     corrected, cost = found.solution.model, torch.zeros(problem.robot.n)
-    if any(p.inertial or p.change is not None for p in found.solution.parts):
+    if any(p.rows is not None or p.change is not None for p in found.solution.parts):
         robot, cost = with_bodies_nearest(corrected.robot, data.segments)
         corrected = replace(corrected, robot=robot)
     far = replace(final.far, judged=problem.judged_on)
@@ -132,7 +134,7 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
     # What was known, and what is now: the corrected model holds laws, for a push is no part of it.
     after = after_log(found)
     lasting = tuple(p for p in corrected.effects if p[0].name not in EVENTS)
-    recommended = Model(corrected.robot, lasting).described()
+    recommended = with_load_apart(Model(corrected.robot, lasting), problem).described()
     known = known_of(found, after, decision.least)
     said = with_changes(said, known, problem.robot)
     said, harmful = that_help(said, problem.robot)
@@ -178,7 +180,7 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         cutoff=data.samples.cutoff,
         settings=settings,
         refitted=problem.wanted.free,
-        warnings=ordered(warnings_of(decision, cost)),
+        warnings=ordered(warnings_of(decision, said.causes, cost)),
         friction=friction_laws(decision, falls, said.causes),
         covariance=covariance_of(found.solution),
         residual=residuals(final.shown),
@@ -240,6 +242,16 @@ def is_poor(found: Explanation, unseen: Sequence[NotTestable]) -> bool:
     places = {t.key for t in library.terms if not t.parametric}
     places |= {(x.effect, x.joints) for x in unseen}
     return len(unseen) > 0.5 * len(places) or data.seconds < SHORTEST_LOG
+
+
+def with_load_apart(model: Model, problem: Problem) -> Model:
+    """A corrected model with the load of the robot's file beside its link again, where nothing has
+    taken its place or changed the link."""
+    own, given = (r.require_parameters("a load").pi[-1] for r in (model.robot, problem.robot))
+    if not any(problem.load) or not torch.equal(own.double(), given.double()):
+        return model
+    robot = Payload().plant(model.robot, [-x for x in problem.load])
+    return Model(robot, (*model.effects, (Payload(), list(problem.load))))
 
 
 def with_bodies_nearest(

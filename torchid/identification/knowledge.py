@@ -7,6 +7,7 @@ import torch
 
 from torchid.design.columns import Columns
 from torchid.effects.base import Effect
+from torchid.effects.inertia import Payload
 from torchid.effects.registry import KINDS, Valued, carrying, nominal_effects
 from torchid.identification.base_parameters import BaseParameters
 from torchid.identification.least_squares import orthonormal
@@ -219,6 +220,13 @@ def whole_arm(robot: Robot) -> Robot:
             known = known.merged(names, link)
     rest = tuple(e.record(v) for e, v in effects if not e.inertial)
     return replace(carrying(robot, bodies), effects=rest, knowledge=known)
+
+
+def load_of(robot: Robot) -> tuple[float, ...]:
+    """Ten parameters of the load that `whole_arm` puts into the last link; zeros of none."""
+    effects = [] if robot.parameters is None else nominal_effects(robot)
+    loads = [v for e, v in effects if isinstance(e, Payload)]
+    return tuple(map(sum, zip([0.0] * PARAMETERS_PER_LINK, *loads, strict=True)))
 
 
 def known_later(robot: Robot) -> Knowledge | None:

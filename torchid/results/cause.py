@@ -173,8 +173,9 @@ class Size:
 
     @property
     def determined(self) -> bool:
-        """Whether the data say more than its order of magnitude."""
-        return self.std is None or self.std < abs(self.value)
+        """Whether the data say more than its order of magnitude, or that it is not the file's."""
+        off = 0.0 if self.was is None else abs(self.value - self.was)
+        return self.std is None or self.std < max(abs(self.value), off)
 
     @property
     def words(self) -> str:

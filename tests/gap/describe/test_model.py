@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.arms import consistent_parameters
 from tests.gap.motions import ROBOT
 from tests.gap.problems import (
     NOISE,
@@ -23,6 +24,7 @@ from torchid.design.gram import least_squares
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.friction_laws import LoadDependentFriction, StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueCrosstalk
+from torchid.effects.inertia import Payload
 from torchid.effects.phase import TimeDelay
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.search import Search
@@ -171,6 +173,37 @@ def test_links_are_corrected_one_by_one(data):
     assert torch.allclose(found[2], pi[2] + change)
     assert torch.allclose(found[:2], pi[:2])
     assert model.effects == ()
+
+
+def some_load(seed: int, kind: str) -> torch.Tensor:
+    """Ten numbers of a load, or of none."""
+    g = torch.Generator().manual_seed(seed)
+    if kind == "any numbers":
+        return 0.3 * torch.randn(10, generator=g, dtype=torch.float64)
+    if kind == "a point":
+        mass, place = 2 * torch.rand(1, generator=g).double(), 0.3 * torch.randn(1, 3, generator=g)
+        return InertialParameters.from_com(mass, place.double(), torch.zeros(1, 6).double()).pi[0]
+    return consistent_parameters(1, seed).pi[0]
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0], ids=["new", "in the file's place"])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", ["a body", "a point", "any numbers"])
+def test_a_load_is_a_body(kind: str, seed: int, share: float):
+    """Whatever the torque asks for, with or without a load that the file has; of a body as much as
+    there is."""
+    load, there = some_load(seed, kind), share * consistent_parameters(1, seed + 10).pi[0]
+    given, real = (Payload().plant(ROBOT, x) for x in (there, load))
+    problem = problem_of(measured([], real=real), wanted_of(("payload",)), given)
+    search = Search(Library(replace(problem, load=tuple(there.tolist()))))
+    found = solution_of(search, [term(search, Payload())])
+    ((_, values),) = found.model.effects
+    own = InertialParameters(torch.tensor([values]).double())
+    assert float(own.consistency_margin()) > 0
+    links = found.model.robot.require_parameters("a test").pi
+    torch.testing.assert_close(links, ROBOT.require_parameters("a test").pi)
+    if kind != "any numbers":
+        assert float(own.mass) == pytest.approx(float(load[0]), rel=0.02)
 
 
 def test_wrong_base_parameters_are_found_up_to_what_is_seen():

@@ -505,7 +505,7 @@ class Library:
             mass = LOAD * max(float(pi[:, 0].abs().sum()), self.scale.mass)
             lever = LEVER * self.scale.length
             std = mass * np.array([1.0] + [lever] * 3 + [lever**2] * 6)
-            low = np.where(np.arange(10) == 0, 0.0, -np.inf)
+            low = np.where(np.arange(10) == 0, -self.problem.load[0], -np.inf)
             yield self._sized(
                 load.name, load, None, regressor[-1], std, low, none, key=load.identity, joints=()
             )

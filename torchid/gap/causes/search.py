@@ -213,7 +213,7 @@ class Search:
         first = sum(t.count for t in every) - sum(t.count for t in fit.terms[k:])
         white = evidence.white(every, fit.samples / fit.losses)[:, first : first + 4]
         std = BY_CHANCE * np.sqrt((white**2).sum(0))
-        mass, *moment = fit.values()[k][:4]
+        mass, *moment = fit.values()[k][:4] + np.array(evidence.library.problem.load[:4])
         least = np.linalg.norm(moment) - np.linalg.norm(std[1:])
         return bool(least <= (max(mass, 0.0) + std[0]) * self.library.scale.length)
 

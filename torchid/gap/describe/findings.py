@@ -1,7 +1,7 @@
 """Causes as a person and a file can use them: effects, joints, alternatives, shares."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -113,9 +113,11 @@ def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[s
         own.setdefault("remedy", _change(found, links, corrected))
         return body_cause(links, **own)
     part, values, std = solution.parts[at], solution.values[at], solution.std[at]
-    effect, many = part.effects[0], len(part.effects) > 1
+    effect, many, given = part.effects[0], len(part.effects) > 1, solution.start
+    if part.rows is not None and any(part.known):
+        given = replace(given, effects=(*given.effects, (effect, list(part.known))))
     return effect_cause(
-        (effect, values.tolist()), std.tolist(), solution.start, solution.model, solution.main(at),
+        (effect, values.tolist()), std.tolist(), given, solution.model, solution.main(at),
         joints=_felt(found, at), located=() if many else effect.joints, common=many,
         replication=replication(solution, at, samples), window=_window(samples, effect),
         notes=_notes(found, at), **own,
@@ -182,13 +184,6 @@ def _notes(found: Explanation, k: int) -> tuple[str, ...]:
         out.append(
             f"the motion determines {count(told, 'combination')} of the ten parameters only; these "
             "values are one choice of many with the same torque"
-        )
-    # Ten numbers are a body only if their pseudo-inertia is.
-    margin = InertialParameters(values.unsqueeze(0)) if part.name == PAYLOAD else None
-    if margin is not None and float(margin.consistency_margin()) < 0:
-        out.append(
-            "these ten load parameters fit the torque but are not physically possible; use "
-            "`torchid payload`"
         )
     for c, v, s in zip(part.coefficients, values.tolist(), std.tolist(), strict=True):
         if s > abs(v) and not some_of_load:

@@ -195,10 +195,11 @@ def _cause(library: Library, term: Term) -> Part:
         if effect is not None:
             links = [robot.own_links[term.joints[0]] if term.joints else links[-1]]
         pi = robot.require_parameters("a cause").pi.double()
+        there = {LINK: tuple(pi[links[0]].tolist()), PAYLOAD: library.problem.load}
         return make(
-            known=tuple(pi[links[0]].tolist()) if term.name == LINK else none,
+            known=there.get(term.name, none),
             rows=torch.cat([torch.arange(10 * link, 10 * link + 10) for link in links]),
-            bodies=_bodies(pi, links, term.name == PAYLOAD),
+            bodies=_bodies(pi, links, there[PAYLOAD] if term.name == PAYLOAD else None),
         )
     known = none if term.common else _known(effect, given)
     # In the place of the model's own it is the whole of it.
@@ -212,11 +213,16 @@ def _known(effect: Effect, model: Model) -> tuple[float, ...]:
     return tuple(sum(each, torch.zeros(len(effect.coefficients)).double()).tolist())
 
 
-def _bodies(pi: Float[Tensor, "L 10"], links: list[int], load: bool) -> Bodies | None:
-    """Bodies that stay bodies: a load, of which no more is known, or links that are bodies."""
+def _bodies(
+    pi: Float[Tensor, "L 10"], links: list[int], load: tuple[float, ...] | None
+) -> Bodies | None:
+    """Bodies that stay bodies: a load, of which no more is known, beside the one that the file has,
+    or links that are bodies."""
     usual = usual_bodies(pi)
+    if load is not None:
+        return some_body(usual[-1], torch.tensor(load, dtype=torch.float64))
     near = links_near(pi, usual, BODY_STD)
-    own = [some_body(usual[-1])] if load else [near[link] for link in links] if near else []
+    own = [near[link] for link in links] if near else []
     every = together([b.shifted(k * PARAMETERS_PER_LINK) for k, b in enumerate(own)])
     # How near to what they were stands in the precision.
     return None if every is None else replace(every, metric=torch.zeros_like(every.metric))
@@ -253,6 +259,8 @@ class Solution:
         weight: (n,) of the joints' squares.
         a: (K, n, N) columns at the corrected model; zero where no sample counts.
         left: (n, N) what the corrected model leaves; likewise.
+        of_load: (n,) root mean squares that a load's body leaves, and any ten numbers in its place
+            [N m; N]; None where these are a body's, too, or there is no load.
     """
 
     start: Model
@@ -264,6 +272,7 @@ class Solution:
     weight: Float[Tensor, " n"]
     a: Float[Tensor, "K n N"]
     left: Float[Tensor, "n N"]
+    of_load: tuple[Float[Tensor, " n"], Float[Tensor, " n"]] | None = None
 
     @property
     def model(self) -> Model:
@@ -398,7 +407,7 @@ def solve_parts(
         whole = within_physics(taken, prior, gram, flat @ (left * weight).flatten() + gram @ whole)
         values = list(whole.split([len(v) for v in values]))
     assert best is not None
-    return _with_deviations(best, data, block, prior, weight) if len(best.a) else best
+    return _with_deviations(best, data, block, prior, weight, steps > 0) if len(best.a) else best
 
 
 def _with_deviations(
@@ -407,13 +416,18 @@ def _with_deviations(
     block: Int[Tensor, " N"],
     prior: Prior,
     weight: Float[Tensor, "n N"],
+    fitted: bool,
 ) -> Solution:
-    """A solution with the covariance of its coefficients; rows count by their weights."""
+    """A solution with the covariance of its coefficients; rows count by their weights. Only a load
+    that was fitted is held against any ten numbers."""
     # Standard deviations from the spread of whole blocks of samples, all joints together, and from
     # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
     # in units of what an independent sample leaves.
     whole = torch.cat(best.values)
     flat = (best.a * weight).flatten(1)
+    gram = flat @ flat.T
+    right = flat @ (best.left * weight).flatten() + gram @ whole
+    loose = _loose(best, gram, right) if fitted else None
     found = fit_statistics(
         flat.T, (best.left * weight).flatten(), block.repeat(len(best.left)), variance=1.0,
         known=prior.squares,
@@ -425,8 +439,8 @@ def _with_deviations(
     of_place = torch.tensor(places)
     together = of_place == of_place.unsqueeze(1)
     covariance = covariance + data.gain_std**2 * whole * whole.unsqueeze(1) * together
-    # A coefficient that is estimated twice, by the columns' size or by another sensor, is not surer
-    # than the two differ.
+    # A coefficient that is estimated twice, by the columns' size, by another sensor, or beside a
+    # load that need be no body, is not surer than the two differ.
     twice, most = [], []
     for p, v in zip(best.parts, best.values, strict=True):
         unsure = p.effects[0].unsure(v.tolist()) if p.effects else [0.0] * len(v)
@@ -434,17 +448,35 @@ def _with_deviations(
         twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
         most.append(torch.where(p.most.isfinite(), p.most, v.abs()))
     covariance = covariance + torch.diag(torch.cat(twice))
+    of_load = None
+    if loose is not None:
+        covariance = covariance + torch.diag((loose - whole).square())
+        left = best.left - torch.tensordot(loose - whole, best.a, 1)
+        rows = (weight * data.keep).square().sum(1).clamp(min=1e-300)
+        body, numbers = ((weight * x).square().sum(1).div(rows).sqrt() for x in (best.left, left))
+        of_load = body, numbers
     std = covariance.diagonal().clamp(min=0).sqrt()
     # What these columns leave open has the size that it can have on this robot, or more; of a load,
     # whatever a slab says of its ten numbers.
-    open_ = undetermined(flat @ flat.T + prior.squares)
+    open_ = undetermined(gram + prior.squares)
     for k, p in enumerate(best.parts):
         if p.name == PAYLOAD:
             own = best.at(k)
             open_[own] |= undetermined(flat[own] @ flat[own].T)
     std = torch.where(open_, torch.stack([std, whole.abs(), torch.cat(most)]).amax(0), std)
     parts = std.split([len(v) for v in best.values])
-    return replace(best, std=tuple(parts), covariance=covariance)
+    return replace(best, std=tuple(parts), covariance=covariance, of_load=of_load)
+
+
+def _loose(
+    best: Solution, matrix: Float[Tensor, "K K"], right: Float[Tensor, " K"]
+) -> Float[Tensor, " K"] | None:
+    """Coefficients (K,) at the minimum beside normal equations where a load need be no body; None
+    where it is one all the same, or there is none."""
+    loads = [(best.at(k), p.bodies) for k, p in enumerate(best.parts) if p.name == PAYLOAD]
+    parts = [replace(p, bodies=None) if p.name == PAYLOAD else p for p in best.parts]
+    x = within_physics(parts, prior_of(parts), matrix, right) if loads else right
+    return None if all(b is None or b.are(x[own]) for own, b in loads) else x
 
 
 def undetermined(matrix: Float[Tensor, "K K"]) -> Bool[Tensor, " K"]:
@@ -512,8 +544,13 @@ def corrected_model(
         else:
             if part.instead is not None:
                 effects = [p for p in effects if p[0] != part.instead[0]]
+            own = v
+            if part.rows is not None:  # a load takes the place of the one in its link
+                there = torch.tensor(part.known, dtype=torch.float64)
+                pi.view(-1)[part.rows] -= there
+                own = v + there
             for effect in part.effects:
-                effects = _grown(effects, effect, v.tolist())
+                effects = _grown(effects, effect, own.tolist())
     same = torch.equal(pi, nominal)
     robot = start.robot if same else start.robot.with_parameters(InertialParameters(pi))
     return Model(robot, tuple(effects))

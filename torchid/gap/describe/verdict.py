@@ -1,5 +1,7 @@
 """The verdict of an answer, and what a user must know beside it."""
 
+from collections.abc import Sequence
+
 import torch
 
 from torchid.design.paths import same_paths
@@ -9,14 +11,17 @@ from torchid.gap.describe.findings import Findings
 from torchid.gap.diagnosis import UNLIKE, is_foreign
 from torchid.gap.problem import Problem
 from torchid.gap.record import Status
-from torchid.results.cause import LINK
-from torchid.results.words import listed
+from torchid.results.cause import LINK, Cause
+from torchid.results.words import PAYLOAD, listed
 from torchid.robot.model import joint_list, joint_unit
 from torchid.statistics.criteria import CLEAR_EXCESS, EXCESS
 from torchid.typing import Float, Tensor
 
 CHECK_FIRST = "Next time: check the log first"
 """How the warning begins that a model explains nothing of most torques."""
+
+NO_BODY = 1.1
+"""Error of a load's body over that of any ten numbers, on one joint, from which it is in doubt."""
 
 
 def status_of(
@@ -81,11 +86,13 @@ def status_of(
     return "parametric_only" if bodies else "explained"
 
 
-def warnings_of(decision: Decision, cost: Float[Tensor, " n"]) -> list[str]:
+def warnings_of(
+    decision: Decision, causes: Sequence[Cause], cost: Float[Tensor, " n"]
+) -> list[str]:
     """What a user must know beside the findings.
 
     Args:
-        decision: what is answered.
+        decision, causes: what is answered.
         cost: (n,) torque by which the recommended bodies differ from the fitted ones [N m; N].
     """
     found, checked, final = decision.found, decision.checked, decision.final
@@ -118,6 +125,8 @@ def warnings_of(decision: Decision, cost: Float[Tensor, " n"]) -> list[str]:
             "Caution: no bodies have the fitted inertial parameters. The corrected model has those "
             f"nearest in torque, {size} from it on joint {worst + 1}, where most."
         )
+    if any(c.effect == PAYLOAD for c in causes):
+        out += _doubt_of_load(decision)
     if problem.fitted_first:
         out.append(
             "The robot has no inertial parameters. Base parameters were fitted first, so the gap "
@@ -136,6 +145,25 @@ def warnings_of(decision: Decision, cost: Float[Tensor, " n"]) -> list[str]:
             f"Caution: on data that was not fitted, the corrected model is worse on {joints}."
         )
     return out
+
+
+def _doubt_of_load(decision: Decision) -> list[str]:
+    """That a load is no body, where ten numbers that no body has explain much more."""
+    found = decision.found
+    if found.solution.of_load is None:
+        return []
+    body, numbers = (x.clamp(min=1e-300) for x in found.solution.of_load)
+    # What they take of the joints' squares; what they add on some joints counts against it.
+    taken = 1 - (numbers / body).square()
+    worst = int(taken.argmax())
+    if not min(taken[worst], taken.sum()) > 1 - NO_BODY**-2:
+        return []
+    unit = joint_unit(found.problem.robot, worst)
+    sizes = [f"{float(x[worst]):.2g} {unit}" for x in (body, numbers)]
+    return [
+        "Caution: the load is no rigid body here, or not on this link: as one it leaves "
+        f"{sizes[0]} on joint {worst + 1}, and ten numbers that no body has {sizes[1]}."
+    ]
 
 
 def _what_bounds_noise(problem: Problem) -> str:
