@@ -48,12 +48,14 @@ class Doubts:
         warnings: with the evidence, and what is odd about the robot's file.
         wrong: whether a fault is sure, which no answer settles.
         foreign: that the torque follows no model of this robot; empty where it follows one.
+        size: that the torque is of another size than the model's; empty where it is not.
     """
 
     short: str = ""
     warnings: tuple[str, ...] = ()
     wrong: bool = False
     foreign: str = ""
+    size: str = ""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -100,7 +102,8 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
     if not odd:
         return Doubts(warnings=notes, foreign=foreign)
     text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
-    return Doubts(text, notes, bool(wrong), foreign)
+    size = next((c.evidence for c in odd if c.name == "torque unit"), "")
+    return Doubts(text, notes, bool(wrong), foreign, size)
 
 
 def _foreign(examination: Examination) -> str:

@@ -9,13 +9,14 @@ from threadpoolctl import threadpool_limits
 
 from torchid.design.motion import no_torque
 from torchid.design.sensor import sensor_of
-from torchid.doctor.first import ask_first
+from torchid.doctor.first import Doubts, ask_first
 from torchid.errors import TorchidError
 from torchid.gap.describe.verdict import CHECK_FIRST
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch
-from torchid.gap.rows import LogRows, rows_of
+from torchid.gap.rows import LogRows, rows_of, source_of
 from torchid.gap.settings import GapSettings
+from torchid.gap.stacked import LEFT_OUT
 from torchid.gap.torque import MUST, SEARCH, STAGES, diagnose_torque
 from torchid.identification.logs import refuse_repeated
 from torchid.identification.settings import require_between
@@ -69,7 +70,9 @@ def diagnose(
             gap alone. Its errors are of data that were fitted.
         before: an earlier log of the arm, with torques: each cause is then new since that log, or
             in both; base parameters and the model's own effects are fitted to both. If None, the
-            log that the model's own file names.
+            log that the model's own file names. It is asked the doctor's first questions, too; one
+            in which nothing moves, or whose torque is of another size than the model's, is left
+            out, and that is the first of the warnings.
         rows: whether that file is read (MODEL.rows.npz, as `--save-model` writes it).
         time: in which the answer is to be there [s], reading the log included: what is not looked
             at then is said, and is in `stopped_after`. What no answer goes without (reading and
@@ -118,6 +121,9 @@ def diagnose(
     # Several threads of BLAS make small matrices many times slower.
     with threadpool_limits(1, "blas"):
         doubts = ask_first(robot, every, force=force)
+        if isinstance(earlier, Log):
+            about, fits = earlier_doubts(ask_first(robot, earlier, force=force), doubts, earlier)
+            missing, earlier = about, earlier if fits else None
         handed = [log]  # a long log is let go as soon as it is prepared
         del every, log
         found: TorqueDiagnosis | PositionDiagnosis
@@ -134,7 +140,9 @@ def diagnose(
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
-    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *told))
+    # That an earlier log is left out is said before all else.
+    told = sorted((*missing, *doubts.warnings, *told), key=lambda w: not w.startswith(LEFT_OUT))
+    found = replace(found, doubt=text, warnings=tuple(told))
     if pace.stopped_after is not None:
         stopped = Stopped(pace.stopped_after, pace.left_out)
         found = replace(found, stopped_after=stopped, warnings=(str(stopped), *found.warnings))
@@ -167,6 +175,25 @@ def earlier_log(
         return earlier, ()
     found = rows_of(robot) if rows else None
     return (None, (found,)) if isinstance(found, str) else (found, ())
+
+
+def earlier_doubts(own: Doubts, asked: Doubts, earlier: Log) -> tuple[tuple[str, ...], bool]:
+    """What the doctor doubts of an earlier log, and whether it can be held against the one that is
+    asked: not where the torque of one of both alone is of another size than the model's, or follows
+    no model of the robot.
+
+    Args:
+        own: of the earlier log.
+        asked: of the log that is asked.
+        earlier: the former.
+    """
+    source = source_of(earlier.names)
+    for of_earlier, of_asked in ((own.size, asked.size), (own.foreign, asked.foreign)):
+        if bool(of_earlier) != bool(of_asked):
+            which = "there" if of_earlier else "in the log that is asked"
+            odd = (of_earlier or of_asked).rstrip(".")
+            return (f"{LEFT_OUT} {source}, which is left out: {which} {odd}.",), False
+    return ((f"Caution: of the earlier log, {source}: {own.short}",) if own.short else ()), True
 
 
 def _of_positions(

@@ -41,7 +41,7 @@ from torchid.gap.pose import pose
 from torchid.gap.record import Budget, Known
 from torchid.gap.rows import LogRows, kept
 from torchid.gap.settings import GapSettings
-from torchid.gap.stacked import beside, earlier_of
+from torchid.gap.stacked import beside, earlier_of, why_left_out
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
 from torchid.parallel.pace import Pace
@@ -94,6 +94,8 @@ def diagnose_torque(
     # Of an arm that stands nothing but a push is told.
     before = None if problem.data.stands else before
     earlier = None if before is None else earlier_of(before, problem, force)
+    left_out = "" if earlier is None else why_left_out(earlier, problem)
+    earlier = None if left_out else earlier
     del log, held_out, before  # a long one is searched in part, and is now let go
     give_back_memory()
     # Of no torque, or of an arm that stands still, there is nothing to say yet.
@@ -109,7 +111,9 @@ def diagnose_torque(
     pace("locating")
     result = describe_diagnosis(decision, explained, pace)
     pace("done")
-    return result if earlier is None else replace(result, since=earlier.source)
+    if earlier is not None:
+        return replace(result, since=earlier.source)
+    return replace(result, warnings=(left_out, *result.warnings)) if left_out else result
 
 
 def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> TorqueDiagnosis:
