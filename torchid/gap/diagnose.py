@@ -3,6 +3,7 @@ error is explained (see `torchid.design.sensor`)."""
 
 import math
 from dataclasses import fields, replace
+from statistics import median
 from time import monotonic
 
 from threadpoolctl import threadpool_limits
@@ -31,6 +32,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.nominal import nominal_servos, servos_as_given, sheets_of, types_of
 from torchid.results.answer import Diagnosis, Stopped
 from torchid.robot.model import Robot
+from torchid.statistics.criteria import OTHER_UNIT
 
 OF_POSITIONS = ("parameters", "worthwhile", "seed")
 """Settings that logs of commands and positions have a use for."""
@@ -71,8 +73,9 @@ def diagnose(
         before: an earlier log of the arm, with torques: each cause is then new since that log, or
             in both; base parameters and the model's own effects are fitted to both. If None, the
             log that the model's own file names. It is asked the doctor's first questions, too; one
-            in which nothing moves, or whose torque is of another size than the model's, is left
-            out, and that is the first of the warnings.
+            in which nothing moves, or whose torque is in another unit or of another robot, is
+            left out, and so is the model's own where the model does not explain it: that is the
+            first of the warnings.
         rows: whether that file is read (MODEL.rows.npz, as `--save-model` writes it).
         time: in which the answer is to be there [s], reading the log included: what is not looked
             at then is said, and is in `stopped_after`. What no answer goes without (reading and
@@ -179,20 +182,21 @@ def earlier_log(
 
 def earlier_doubts(own: Doubts, asked: Doubts, earlier: Log) -> tuple[tuple[str, ...], bool]:
     """What the doctor doubts of an earlier log, and whether it can be held against the one that is
-    asked: not where the torque of one of both alone is of another size than the model's, or follows
-    no model of the robot.
+    asked: not where its torque follows no model of the robot, or is in another unit. The model that
+    both are held against may be of any size.
 
     Args:
         own: of the earlier log.
         asked: of the log that is asked.
         earlier: the former.
     """
+    ratios = [own.sizes[j] / asked.sizes[j] for j in own.sizes.keys() & asked.sizes.keys()]
+    why = own.foreign if not asked.foreign else ""
+    if ratios and abs(math.log(ratio := median(ratios))) > math.log(OTHER_UNIT):
+        why = f"Its torque is {ratio:.3g} times that of the log that is asked, on like motion."
     source = source_of(earlier.names)
-    for of_earlier, of_asked in ((own.size, asked.size), (own.foreign, asked.foreign)):
-        if bool(of_earlier) != bool(of_asked):
-            which = "there" if of_earlier else "in the log that is asked"
-            odd = (of_earlier or of_asked).rstrip(".")
-            return (f"{LEFT_OUT} {source}, which is left out: {which} {odd}.",), False
+    if why:
+        return (f"{LEFT_OUT} {source}, which is left out. {why}",), False
     return ((f"Caution: of the earlier log, {source}: {own.short}",) if own.short else ()), True
 
 

@@ -138,9 +138,9 @@ def why_left_out(earlier: Earlier, problem: Problem) -> str:
         return ""
     unit = torque_unit(problem.robot)
     return (
-        f"{LEFT_OUT} {earlier.source}, which is left out: the model errs by {error:.3g} {unit} there "
-        f"beside a torque of {measured:.3g}, where {expected:.2g} was to be expected. Is it of this "
-        "arm, and in this unit? `before=...` gives another log."
+        f"{LEFT_OUT} {earlier.source}, which is left out: beside its torque of {measured:.3g} "
+        f"{unit} the model errs by {error:.3g}, where {expected:.2g} was to be expected. Is it of "
+        "this arm, and in this unit? `before=...` gives another log."
     )
 
 
