@@ -149,11 +149,20 @@ def standing(log: Log) -> Log:
     return log.replace(q=q, dq=None, tau=tau)
 
 
+def held_constant(log: Log) -> Log:
+    """Of a joint whose torque is not measured."""
+    assert log.tau is not None
+    tau = log.tau.clone()
+    tau[:, 1] = 3.0
+    return log.replace(tau=tau)
+
+
 ODD = {
     "permille": lambda log: scaled(log, 20.0),
     "a twentieth": lambda log: scaled(log, 0.05),
     "standing": standing,
     "of another robot": lambda log: log.replace(tau=log.tau.flip(0)),
+    "a joint constant": held_constant,
 }
 NO_MODEL = replace(ROBOT, parameters=None)
 AUTO = GapSettings(effects=SEARCHED)

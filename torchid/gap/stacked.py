@@ -23,14 +23,14 @@ from torchid.gap.problem import Problem
 from torchid.gap.rows import LogRows, source_of, trajectories
 from torchid.log.model import Log
 from torchid.robot.model import torque_unit
+from torchid.typing import Bool, Float, Tensor
 
 LEFT_OUT = "Caution: nothing is said to be new since"
 """How the warning begins that an earlier log is left out."""
 
-OWN_ERROR = 0.1
-"""Error of a model on the log that it was made from, beyond what it left there, over that log's
-torque, from which these are not the rows that it was made from [1]: on six real arms models leave
-.03 to .1 of their own log's torque."""
+MISFIT = 0.1
+"""Error, over the torque of the whole arm, beyond which a model does not explain its own log, and
+no two logs [1]: on six real arms models leave .03 to .1 of the torque."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +109,8 @@ def why_left_out(earlier: Earlier, problem: Problem) -> str:
     """A sentence that an earlier log says nothing of what is new: no joint moves, or the torque is
     not of the size that the model has; empty where it does.
 
-    A model explains the log that it was made from, and one that was fitted to the log that is asked
-    is no worse than none on an earlier one. Of any other model an earlier log may differ as an arm
-    differs from its model.
+    A model explains the log that it was made from. Of any other an earlier log may differ as an arm
+    differs from its model (`errors_of`).
     """
     segments, known = earlier.segments, problem.robot.knowledge
     samples = Samples(segments, earlier.cutoff)
@@ -119,21 +118,13 @@ def why_left_out(earlier: Earlier, problem: Problem) -> str:
     keep = moving_samples(samples) & slides[:, None]
     if not bool(keep.any()):
         return f"{LEFT_OUT} {earlier.source}: no joint moves in it."
-    if not (earlier.own or problem.fitted_first):
+    if not earlier.own:
         return ""
     gap = Columns(problem.given.model, samples).gap
     torque = samples.of([s.tau.T for s in segments])
-    # Of the whole arm, so that the joints that hold most of the torque say most.
-    count = keep.sum(1).clamp(min=1)
-    error, measured, modelled = (
-        float(((x.square() * keep).sum(1) / count).sum().sqrt())
-        for x in (gap, torque, torque - gap)
-    )
-    if earlier.own:
-        left = 0.0 if known is None or known.left is None else float(known.left[slides].norm())
-        expected = math.hypot(OWN_ERROR * measured, left)
-    else:
-        expected = min(measured, modelled)
+    error, measured = (_arm_rms(x, keep) for x in (gap, torque))
+    left = 0.0 if known is None or known.left is None else float(known.left[slides].norm())
+    expected = math.hypot(MISFIT * measured, left)
     if error <= expected:
         return ""
     unit = torque_unit(problem.robot)
@@ -142,6 +133,30 @@ def why_left_out(earlier: Earlier, problem: Problem) -> str:
         f"{unit} the model errs by {error:.3g}, where {expected:.2g} was to be expected. Is it of "
         "this arm, and in this unit? `before=...` gives another log."
     )
+
+
+def errors_of(left: np.ndarray, problem: Problem) -> list[float]:
+    """What an explanation leaves over the torque, of the whole arm: on an earlier log, if there is
+    one, and on the log that is asked [1].
+
+    Args:
+        left: (n, N) samples [N m; N].
+        problem: that is explained.
+    """
+    samples, keep = problem.data.samples, problem.data.keep
+    torque = samples.of([s.tau.T for s in samples.segments])
+    asked = keep.new_ones(keep.shape[1]) if problem.asked is None else problem.asked
+    parts = [keep * part for part in (~asked, asked) if bool(part.any())]
+    return [
+        _arm_rms(torch.from_numpy(left), part) / max(_arm_rms(torque, part), 1e-300)
+        for part in parts
+    ]
+
+
+def _arm_rms(x: Float[Tensor, "n N"], keep: Bool[Tensor, "n N"]) -> float:
+    """RMS of the whole arm, in which joints that hold most of the torque say most."""
+    squares = (x.square() * keep).sum(1) / keep.sum(1).clamp(min=1)
+    return float(squares.sum().sqrt())
 
 
 def in_common(segments: Sequence[Segment]) -> list[Segment]:
