@@ -143,7 +143,9 @@ def errors_of(left: np.ndarray, problem: Problem) -> list[float]:
         left: (n, N) samples [N m; N].
         problem: that is explained.
     """
-    samples, keep = problem.data.samples, problem.data.keep
+    samples = problem.data.samples
+    # Of joints that do not slide in the log that is asked nothing is looked for.
+    keep = problem.data.keep & problem.data.slides[:, None]
     torque = samples.of([s.tau.T for s in samples.segments])
     asked = keep.new_ones(keep.shape[1]) if problem.asked is None else problem.asked
     parts = [keep * part for part in (~asked, asked) if bool(part.any())]
