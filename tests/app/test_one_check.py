@@ -43,6 +43,7 @@ FAULTS = {
 COMMANDS = {
     "identify": "identify 3r LOG",
     "gap": "gap 3r LOG --effects coulomb_friction",
+    "gap beside an earlier log": "gap 3r GOOD --before LOG --effects coulomb_friction",
     "payload": "payload 3r GOOD --loaded LOG",
     "payload of logs without it": "payload 3r LOG --loaded GOOD",
     "correct": "correct 3r LOG --to urdf --effects coulomb_friction",

@@ -1,17 +1,26 @@
 """An earlier log beside the one that is asked, by the public functions: new, or in both."""
 
+import hashlib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+from msgspec import UNSET
 
 import torchid
-from tests.gap.small_logs import ROBOT, Recording, arm, friction, logged
+from tests.gap.small_logs import NOISE, ROBOT, Recording, arm, friction, logged, true_motion
+from tests.marks import quick_first
+from torchid.doctor.first import WrongLogError
 from torchid.errors import LogError, RobotError, TorchidError
+from torchid.excitation.synthetic import synthetic_log
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.robot.model import Robot
+from torchid.simulation.sensors import Sensors, measured_log
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
@@ -112,3 +121,124 @@ def test_what_is_no_earlier_log_is_refused() -> None:
         torchid.diagnose(ROBOT, log, before=commands)
     with pytest.raises(TorchidError, match="before"):
         torchid.diagnose(ROBOT, commands, before=log)
+
+
+# What an earlier log is asked before anything is held against it.
+
+
+def is_left_out(found: TorqueDiagnosis, alone: TorqueDiagnosis, source: str) -> None:
+    """It says so first, and has the causes of the log without an earlier one."""
+    assert found.warnings[0].startswith(f"Caution: nothing is said to be new since {source}")
+    assert "since" not in found.plain()
+    assert [(c.effect, c.joints, c.parameters) for c in found.answer.causes] == [
+        (c.effect, c.joints, c.parameters) for c in alone.answer.causes
+    ]
+
+
+def scaled(log: Log, factor: float) -> Log:
+    assert log.tau is not None
+    return log.replace(tau=factor * log.tau)
+
+
+def standing(log: Log) -> Log:
+    """An arm that is held at its first pose."""
+    q = log.q[:1].expand_as(log.q)
+    none = torch.zeros_like(q)
+    noise = torch.randn(q.shape, generator=torch.Generator().manual_seed(0)).double()
+    tau = torchid.inverse_dynamics(ROBOT, q, none, none) + NOISE * noise
+    return log.replace(q=q, dq=None, tau=tau)
+
+
+def held_constant(log: Log) -> Log:
+    """Of a joint whose torque is not measured."""
+    assert log.tau is not None
+    tau = log.tau.clone()
+    tau[:, 1] = 3.0
+    return log.replace(tau=tau)
+
+
+ODD = {
+    "permille": lambda log: scaled(log, 20.0),
+    "a twentieth": lambda log: scaled(log, 0.05),
+    "standing": standing,
+    "of another robot": lambda log: log.replace(tau=log.tau.flip(0)),
+    "a joint constant": held_constant,
+}
+NO_MODEL = replace(ROBOT, parameters=None)
+AUTO = GapSettings(effects=SEARCHED)
+
+
+@cache
+def friday_alone(robot: str) -> TorqueDiagnosis:
+    """Of the 3R as a file has it, or without its parameters."""
+    simulator = {"a model": ROBOT, "no model": NO_MODEL}.get(robot, robot)
+    now = log_of(arm(LACKED, CAME), FRIDAY)
+    found = torchid.diagnose(simulator, now, rows=False, settings=AUTO)
+    assert isinstance(found, TorqueDiagnosis)
+    return found
+
+
+@pytest.mark.parametrize("odd", ODD)
+@pytest.mark.parametrize("robot", ["a model", "no model"])
+def test_an_earlier_log_of_another_torque_is_left_out_and_that_is_said_first(odd, robot) -> None:
+    before = ODD[odd](log_of(arm(LACKED), MONDAY))
+    simulator = ROBOT if robot == "a model" else NO_MODEL
+    now = log_of(arm(LACKED, CAME), FRIDAY)
+    found, alone = (
+        torchid.diagnose(simulator, now, before=before, settings=AUTO),
+        friday_alone(robot),
+    )
+    assert len(alone.answer.causes) == 2
+    is_left_out(found, alone, "run0 and 1 more")
+
+
+def test_a_wrong_earlier_log_is_refused_as_the_one_that_is_asked() -> None:
+    monday = log_of(arm(LACKED), MONDAY)
+    turned = monday.replace(tau=monday.tau * torch.tensor([1.0, -1.0, 1.0]).double())
+    with pytest.raises(WrongLogError, match="torque sign of joint 2"):
+        torchid.diagnose(ROBOT, log_of(arm(LACKED), FRIDAY), before=turned, settings=SETTINGS)
+
+
+def with_rows_scaled(model: Path, folder: Path, factor: float) -> Path:
+    """The model, with rows whose torque is so many times its own."""
+    path, own = folder / "arm.yaml", model.with_suffix(".rows.npz")
+    with np.load(own) as held:
+        arrays = dict(held)
+    arrays["tau"] = (factor * arrays["tau"]).astype(np.float32)
+    other = path.with_suffix(".rows.npz")
+    np.savez(other, **arrays)
+    old, new = (hashlib.sha256(p.read_bytes()).hexdigest() for p in (own, other))
+    path.write_text(model.read_text().replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize("factor", quick_first([100.0, 0.05, 1.3], 2))
+def test_rows_that_their_own_model_does_not_explain_are_left_out(
+    factor: float, model: Path, tmp_path: Path
+) -> None:
+    path = with_rows_scaled(model, tmp_path, factor)
+    found = torchid.diagnose(str(path), log_of(arm(LACKED, CAME), FRIDAY), settings=AUTO)
+    alone = friday_alone(str(model))
+    assert [(c.effect, c.joints) for c in alone.answer.causes] == [("viscous_friction", (2,))]
+    is_left_out(found, alone, "run0 and 1 more")
+
+
+def test_rows_of_five_per_cent_more_torque_are_within_what_a_model_errs_by(
+    model: Path, tmp_path: Path
+) -> None:
+    path = with_rows_scaled(model, tmp_path, 1.05)
+    found = torchid.diagnose(str(path), log_of(arm(LACKED, CAME), FRIDAY), settings=AUTO)
+    assert whens(found)["viscous_friction", (2,)] == "new"
+
+
+def test_what_the_earlier_log_does_not_show_is_neither_new_nor_in_both() -> None:
+    """On Monday joint 2 alone moved."""
+    motion = true_motion(MONDAY)
+    alone = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    motion = motion.replace(**{k: x * alone for k, x in motion.signals.items()})
+    true = synthetic_log(arm(LACKED), motion)
+    before = measured_log(ROBOT, true, [], Sensors(torque_std=NOISE), 0)
+    now = log_of(arm(LACKED, CAME), FRIDAY)
+    found = torchid.diagnose(ROBOT, now, before=before, settings=SETTINGS)
+    expected = {("coulomb_friction", (1,)): "in both", ("viscous_friction", (2,)): UNSET}
+    assert whens(found) == expected

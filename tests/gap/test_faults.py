@@ -31,6 +31,7 @@ from torchid.gap.settings import GapSettings
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.log.model import Log
 from torchid.robot.inertia import InertialParameters
+from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot
 from torchid.simulation.sensors import Sensors, measured_log
 
@@ -271,6 +272,58 @@ def test_a_log_that_stands_still(effects) -> None:
     else:
         assert found["status"] == "not_testable"
         assert found["which"] == []
+
+
+SHAPED = arm(
+    friction(2, Fc=0.8), {"effect": "stribeck_friction", "joint": 2, "Fs": 0.8, "vs": 0.1},
+    {"effect": "power_law_friction", "joint": 1, "F2": 0.8, "a": 1.5},
+)  # fmt: skip
+"""A model with laws whose shapes no grid holds."""
+
+
+@pytest.mark.parametrize("pushed", [False, True])
+def test_of_an_arm_that_stands_no_law_of_its_model_is_named(pushed: bool) -> None:
+    log = standing()
+    noise = torch.randn(log.q.shape, generator=torch.Generator().manual_seed(1)).double()
+    if pushed:
+        push = tool_jacobian(ROBOT, log.q)[..., :3, :].mT @ torch.tensor([20.0, 10, -15]).double()
+        log = log.replace(tau=log.tau + push * ((log.t > 8) & (log.t < 10)).double()[:, None])
+    log = log.replace(q=log.q + 3e-5 * noise)
+    found = answered(lambda: diagnosed(SHAPED, log, GapSettings()))
+    if pushed:
+        assert {e["effect"] for e in found["which"]} == {"contact"}
+    else:
+        assert "stands still" in found
+
+
+def constant(log: Log, *joints: int) -> Log:
+    assert log.tau is not None
+    tau = log.tau.clone()
+    tau[:, list(joints)] = 3.0
+    return log.replace(tau=tau)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        lambda log: constant(log, 1),
+        lambda log: constant(log, 0, 1, 2),
+        lambda log: log.select(slice(0, 260)),
+    ],
+    ids=["one joint constant", "all constant", "two seconds"],
+)
+def test_what_is_not_looked_for_is_no_candidate_where_the_model_has_it(made) -> None:
+    """Fails as of 0.3.0: the answer sorted what it could not see by a list that lacked it."""
+    log = made(logged(arm(friction(2, Fc=0.8)), Recording(runs=(0, 1))))
+    found = diagnosed(SHAPED, log, quick("coulomb_friction"))
+    assert {e["effect"] for e in found["which"]} <= {"coulomb_friction"}
+    assert {e["effect"] for e in found["not_testable"]} <= {"coulomb_friction"}
+
+
+@pytest.mark.parametrize("samples", [2, 5])
+def test_a_log_of_a_few_samples_is_too_short(samples: int) -> None:
+    log = logged(ROBOT).select(slice(0, samples))
+    assert "too short" in answered(lambda: diagnosed(ROBOT, log, quick()))
 
 
 # Nothing is named beside the one clear effect.

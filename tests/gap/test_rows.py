@@ -1,8 +1,14 @@
 """The log that a model was made from, as a file beside the model."""
 
+import hashlib
+import io
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -112,6 +118,90 @@ def test_rows_of_other_joints_are_refused(tmp_path: Path) -> None:
     other = replace(ROBOT, joint_names=("a", "b", "c"))
     with pytest.raises(RobotError, match="other joints"):
         LogRows.read(path, sha256, other)
+
+
+Arrays = dict[str, Any]
+
+
+def held(rows: LogRows) -> Arrays:
+    """What a file of rows has."""
+    names = ("names", "joints", "rate", "cutoff", "lengths", "starts", "moving", "own_velocity")
+    return {name: getattr(rows, name) for name in names} | dict(rows.signals)
+
+
+def with_one(arrays: Arrays, name: str, value: float) -> Arrays:
+    x = arrays[name].copy()
+    x[50, 1] = value
+    return {name: x}
+
+
+def wider(arrays: Arrays) -> Arrays:
+    """A joint more than the file says."""
+    return {k: np.c_[arrays[k], arrays[k][:, 0]] for k in ("q", "dq", "ddq", "tau")}
+
+
+def empty(arrays: Arrays) -> Arrays:
+    some = ("names", "lengths", "starts", "moving", "q", "dq", "ddq", "tau")
+    return {k: np.asarray(arrays[k])[:0] for k in some}
+
+
+DAMAGE: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
+    "a signal is missing": (lambda x: {"tau": None}, "there is no tau"),
+    "a field is missing": (lambda x: {"lengths": None}, "lengths"),
+    "another length": (lambda x: {"q": x["q"][:-7]}, "q has the shape"),
+    "NaN": (lambda x: with_one(x, "tau", np.nan), "tau holds something else"),
+    "infinite": (lambda x: with_one(x, "q", np.inf), "q holds something else"),
+    "text": (lambda x: {"tau": x["tau"].astype(str)}, "tau holds something else"),
+    "objects": (lambda x: {"tau": np.array([[{}]], object)}, "Object arrays"),
+    "text for a number": (lambda x: {"rate": "fast"}, "fast"),
+    "another number of joints": (wider, "q has the shape"),
+    "time goes back": (lambda x: {"starts": x["starts"][::-1]}, "time goes back"),
+    "no rate": (lambda x: {"rate": 0.0}, "a rate of 0 Hz"),
+    "a negative length": (
+        lambda x: {"lengths": (-9, sum(x["lengths"]) + 9)}, "2 trajectories of"
+    ),
+    "no rows": (empty, "0 trajectories"),
+}  # fmt: skip
+
+
+@cache
+def rows_of_a_log() -> LogRows:
+    return kept(samples(), ROBOT)
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_rows_are_refused_where_they_are_read(damage: str, tmp_path: Path) -> None:
+    change, said = DAMAGE[damage]
+    arrays = held(rows_of_a_log())
+    arrays |= change(arrays)
+    content = io.BytesIO()
+    np.savez(content, **{k: x for k, x in arrays.items() if x is not None})
+    refuses(content.getvalue(), said, tmp_path)
+
+
+@pytest.mark.parametrize("part", [slice(0, -1000), slice(0, 0), slice(30, None)])
+def test_so_is_a_part_of_a_file(part: slice, tmp_path: Path) -> None:
+    whole = tmp_path / "whole.npz"
+    rows_of_a_log().write(whole)
+    refuses(whole.read_bytes()[part], "", tmp_path)
+
+
+def test_so_is_a_byte_that_has_changed_before_it_was_named(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.npz"
+    rows_of_a_log().write(whole)
+    content = bytearray(whole.read_bytes())
+    content[len(content) // 2] ^= 255
+    refuses(bytes(content), "", tmp_path)
+
+
+def refuses(content: bytes, said: str, folder: Path) -> None:
+    """A file that the model's yaml names, by its right SHA-256."""
+    path = folder / "arm.rows.npz"
+    path.write_bytes(content)
+    with pytest.raises(RobotError, match="is damaged") as error:
+        LogRows.read(path, hashlib.sha256(content).hexdigest(), ROBOT)
+    assert said in str(error.value.got)
+    assert "`before=...`" in str(error.value)
 
 
 @pytest.mark.parametrize(

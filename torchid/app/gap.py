@@ -96,7 +96,7 @@ def gap_command(
     with (
         output.progress("preparing") as progress,
         output.kept_so_far(progress) as watch,
-        trials.line_to_mend(),
+        trials.line_to_mend(before=asked.before),
     ):
         result = torchid.diagnose(
             robot, handed.pop(), held_out=apart, settings=settings, servo=asked.servo,

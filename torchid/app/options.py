@@ -356,9 +356,11 @@ class ArmAndLogs(Arm, Reading):
             require_header(path, self.request(None))
 
     @contextmanager
-    def line_to_mend(self, logs: Sequence[Path] | None = None) -> Iterator[None]:
+    def line_to_mend(
+        self, logs: Sequence[Path] | None = None, before: Sequence[Path] | None = None
+    ) -> Iterator[None]:
         """An error that a log is wrong says what to paste: `--columns`, or the doctor's line, of
-        these files or of LOG..."""
+        these files or of LOG..., or of earlier ones where it is of them."""
         from torchid.doctor.first import WrongLogError
         from torchid.doctor.flag import flag_for
 
@@ -366,6 +368,8 @@ class ArmAndLogs(Arm, Reading):
             yield
         except WrongLogError as stop:
             examination, logs = stop.examination, logs or self.logs or []
+            if set(map(str, before or ())) & set(examination.log.source.split(", ")):
+                logs = before or []
             choices = [c for check in examination.undecided for c in check.choices]
             own = not (self.columns or self.topic)
             flag = flag_for(examination.repairs, examination.robot.n, logs) if own else None

@@ -2,8 +2,8 @@
 a payload would explain away."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from torchid.doctor.check import TEXTS, Check
 from torchid.doctor.examine import FILE, LEAST_SAMPLES, Examination, examine
@@ -48,12 +48,14 @@ class Doubts:
         warnings: with the evidence, and what is odd about the robot's file.
         wrong: whether a fault is sure, which no answer settles.
         foreign: that the torque follows no model of this robot; empty where it follows one.
+        sizes: measured torque over the model's, by joint from 0, where that can be told [1].
     """
 
     short: str = ""
     warnings: tuple[str, ...] = ()
     wrong: bool = False
     foreign: str = ""
+    sizes: Mapping[int, float] = field(default_factory=dict)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -97,10 +99,17 @@ def ask_first(robot: Robot, log: Log, *, force: bool = False, loaded: bool = Fal
     every = (*odd, *(c for c in examination.checks if c.name == FILE))
     notes = tuple(f"Caution: {c.evidence}{f'; {c.fix}' if c.fix else ''}." for c in every)
     foreign = _foreign(examination)
+    sizes = {
+        j: x
+        for c in examination.checks
+        if c.name == "torque unit" and log.tau is not None and isinstance(c.estimate, tuple)
+        for j, x in zip(c.joints, c.estimate, strict=True)
+        if x is not None and x > 0
+    }
     if not odd:
-        return Doubts(warnings=notes, foreign=foreign)
+        return Doubts(warnings=notes, foreign=foreign, sizes=sizes)
     text = f"Wrong log: {_names(wrong)}." if wrong else f"Doubt: {_in_short(odd[0])}."
-    return Doubts(text, notes, bool(wrong), foreign)
+    return Doubts(text, notes, bool(wrong), foreign, sizes)
 
 
 def _foreign(examination: Examination) -> str:

@@ -3,19 +3,21 @@ error is explained (see `torchid.design.sensor`)."""
 
 import math
 from dataclasses import fields, replace
+from statistics import median
 from time import monotonic
 
 from threadpoolctl import threadpool_limits
 
 from torchid.design.motion import no_torque
 from torchid.design.sensor import sensor_of
-from torchid.doctor.first import ask_first
+from torchid.doctor.first import Doubts, ask_first
 from torchid.errors import TorchidError
 from torchid.gap.describe.verdict import CHECK_FIRST
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch
-from torchid.gap.rows import LogRows, rows_of
+from torchid.gap.rows import LogRows, rows_of, source_of
 from torchid.gap.settings import GapSettings
+from torchid.gap.stacked import LEFT_OUT
 from torchid.gap.torque import MUST, SEARCH, STAGES, diagnose_torque
 from torchid.identification.logs import refuse_repeated
 from torchid.identification.settings import require_between
@@ -30,6 +32,7 @@ from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.nominal import nominal_servos, servos_as_given, sheets_of, types_of
 from torchid.results.answer import Diagnosis, Stopped
 from torchid.robot.model import Robot
+from torchid.statistics.criteria import OTHER_UNIT
 
 OF_POSITIONS = ("parameters", "worthwhile", "seed")
 """Settings that logs of commands and positions have a use for."""
@@ -69,7 +72,10 @@ def diagnose(
             gap alone. Its errors are of data that were fitted.
         before: an earlier log of the arm, with torques: each cause is then new since that log, or
             in both; base parameters and the model's own effects are fitted to both. If None, the
-            log that the model's own file names.
+            log that the model's own file names. It is asked the doctor's first questions, too; one
+            in which nothing moves, or whose torque is in another unit or of another robot, is
+            left out, and so is the model's own where the model does not explain it: that is the
+            first of the warnings.
         rows: whether that file is read (MODEL.rows.npz, as `--save-model` writes it).
         time: in which the answer is to be there [s], reading the log included: what is not looked
             at then is said, and is in `stopped_after`. What no answer goes without (reading and
@@ -119,6 +125,9 @@ def diagnose(
         doubts = ask_first(robot, log, force=force)
         # What speaks against a held-out log is said, and changes nothing of the answer.
         of_held_out = () if held_out is None else ask_first(robot, held_out, force=force).warnings
+        if isinstance(earlier, Log):
+            about, fits = earlier_doubts(ask_first(robot, earlier, force=force), doubts, earlier)
+            missing, earlier = about, earlier if fits else None
         handed = [log]  # a long log is let go as soon as it is prepared
         del log
         found: TorqueDiagnosis | PositionDiagnosis
@@ -135,7 +144,12 @@ def diagnose(
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
-    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *of_held_out, *told))
+    # That an earlier log is left out is said before all else.
+    told = sorted(
+        (*missing, *doubts.warnings, *of_held_out, *told),
+        key=lambda w: not w.startswith(LEFT_OUT),
+    )
+    found = replace(found, doubt=text, warnings=tuple(told))
     if pace.stopped_after is not None:
         stopped = Stopped(pace.stopped_after, pace.left_out)
         found = replace(found, stopped_after=stopped, warnings=(str(stopped), *found.warnings))
@@ -168,6 +182,26 @@ def earlier_log(
         return earlier, ()
     found = rows_of(robot) if rows else None
     return (None, (found,)) if isinstance(found, str) else (found, ())
+
+
+def earlier_doubts(own: Doubts, asked: Doubts, earlier: Log) -> tuple[tuple[str, ...], bool]:
+    """What the doctor doubts of an earlier log, and whether it can be held against the one that is
+    asked: not where its torque follows no model of the robot, or is in another unit. The model that
+    both are held against may be of any size.
+
+    Args:
+        own: of the earlier log.
+        asked: of the log that is asked.
+        earlier: the former.
+    """
+    ratios = [own.sizes[j] / asked.sizes[j] for j in own.sizes.keys() & asked.sizes.keys()]
+    why = own.foreign if not asked.foreign else ""
+    if ratios and abs(math.log(ratio := median(ratios))) > math.log(OTHER_UNIT):
+        why = f"Its torque is {ratio:.3g} times that of the log that is asked, on like motion."
+    source = source_of(earlier.names)
+    if why:
+        return (f"{LEFT_OUT} {source}, which is left out. {why}",), False
+    return ((f"Caution: of the earlier log, {source}: {own.short}",) if own.short else ()), True
 
 
 def _of_positions(

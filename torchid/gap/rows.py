@@ -8,7 +8,9 @@ log stretches that are spread over all of it. The model's yaml names the file an
 import hashlib
 import io
 import math
-from collections.abc import Mapping, Sequence
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -43,6 +45,12 @@ PASSED = 0.4
 SIGNALS = ("q", "dq", "ddq", "tau", "age")
 """Of a file, (R, n) each; `age` where the log has it."""
 
+_DAMAGED = (
+    OSError, EOFError, ValueError, TypeError, LookupError, ArithmeticError, NotImplementedError,
+    MemoryError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What reading an archive raises that is cut short, or holds something else."""
+
 
 @dataclass(frozen=True, eq=False)
 class LogRows:
@@ -58,6 +66,9 @@ class LogRows:
         moving: (S, n) speed above which joints move [rad/s; m/s].
         own_velocity: whether velocities were measured on their own.
         signals: (R, n) of `SIGNALS`, single precision, trajectory by trajectory.
+
+    Raises:
+        ValueError: these are no rows of a log.
     """
 
     names: tuple[str, ...]
@@ -69,6 +80,36 @@ class LogRows:
     moving: np.ndarray
     own_velocity: bool
     signals: Mapping[str, np.ndarray]
+
+    def __post_init__(self) -> None:
+        for problem in self._problems():
+            raise ValueError(problem)
+
+    def _problems(self) -> Iterator[str]:
+        """What no log's rows have."""
+        count, n = len(self.names), len(self.joints)
+        shapes = dict.fromkeys(self.signals, (sum(self.lengths), n)) | {"moving": (count, n)}
+        missing = [name for name in SIGNALS[:4] if name not in self.signals]
+        if missing:
+            yield f"there is no {', '.join(missing)}"
+        for name, shape in shapes.items():
+            x = self.moving if name == "moving" else self.signals[name]
+            if x.shape != shape:
+                yield f"{name} has the shape {x.shape}, and not {shape}"
+            if x.dtype.kind != "f" or not np.isfinite(x).all():
+                yield f"{name} holds something else than finite numbers"
+        if not 0 < self.cutoff < self.rate < math.inf:
+            yield f"a cut-off of {self.cutoff:g} Hz and a rate of {self.rate:g} Hz"
+        if not len(self.lengths) == len(self.starts) == count or min(self.lengths, default=0) < 4:
+            yield f"{count} trajectories of {list(self.lengths)} rows"
+        # A trajectory's last row is before the next one's first.
+        ends = [
+            a + (rows - 1) / self.rate for a, rows in zip(self.starts, self.lengths, strict=True)
+        ]
+        if not all(
+            end < start for end, start in zip(ends, [*self.starts[1:], math.inf], strict=True)
+        ):
+            yield f"time goes back: trajectories begin at {list(self.starts)} s"
 
     @property
     def source(self) -> str:
@@ -93,35 +134,47 @@ class LogRows:
         """From the file that a model's yaml names.
 
         Raises:
-            RobotError: it is another file than the model was written with, or of other joints.
+            RobotError: it is another file than the model was written with, cannot be read, is
+                damaged, or of other joints.
         """
-        content = path.read_bytes()
-        found = hashlib.sha256(content).hexdigest()
-        if found != sha256:
-            raise RobotError(
-                f"'{path}' is not the file that the model was written with.",
-                got=f"SHA-256 {found[:12]}..",
-                expected=f"{sha256[:12]}..",
-                hint="the earlier log itself, `before=...`; on the command line `--no-rows` does "
-                "without one",
-            )
-        with np.load(io.BytesIO(content)) as held:
-            joints = tuple(map(str, held["joints"]))
-            if joints != robot.joint_names:
+        hint = (
+            "the earlier log itself, `before=...`; on the command line `--no-rows` does without one"
+        )
+        try:
+            content = path.read_bytes()
+            found = hashlib.sha256(content).hexdigest()
+            if found != sha256:
                 raise RobotError(
-                    f"'{path}' is of other joints.", got=list(joints), expected=robot.joint_names
+                    f"'{path}' is not the file that the model was written with.",
+                    got=f"SHA-256 {found[:12]}..", expected=f"{sha256[:12]}..", hint=hint,
+                )  # fmt: skip
+            if not zipfile.is_zipfile(io.BytesIO(content)):
+                raise ValueError("no archive of arrays")
+            with np.load(io.BytesIO(content)) as held:
+                rows = cls(
+                    tuple(map(str, held["names"])),
+                    tuple(map(str, held["joints"])),
+                    float(held["rate"]),
+                    float(held["cutoff"]),
+                    tuple(map(int, held["lengths"])),
+                    tuple(map(float, held["starts"])),
+                    held["moving"],
+                    bool(held["own_velocity"]),
+                    {name: held[name] for name in SIGNALS if name in held},
                 )
-            return cls(
-                tuple(map(str, held["names"])),
-                joints,
-                float(held["rate"]),
-                float(held["cutoff"]),
-                tuple(map(int, held["lengths"])),
-                tuple(map(float, held["starts"])),
-                held["moving"],
-                bool(held["own_velocity"]),
-                {name: held[name] for name in SIGNALS if name in held},
-            )
+        except _DAMAGED as error:
+            raise RobotError(
+                f"'{path}', the log that the model was made from, is damaged.",
+                got=str(error).partition("\n")[0] or type(error).__name__,
+                expected=f"rows of {', '.join(SIGNALS[:4])} of {robot.n} joints",
+                hint=hint,
+            ) from error
+        if rows.joints != robot.joint_names:
+            raise RobotError(
+                f"'{path}' is of other joints.",
+                got=list(rows.joints), expected=robot.joint_names, hint=hint,
+            )  # fmt: skip
+        return rows
 
 
 _HELD = ("names", "joints", "rate", "cutoff", "lengths", "starts", "moving", "own_velocity")

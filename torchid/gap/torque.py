@@ -43,7 +43,7 @@ from torchid.gap.problem import Problem
 from torchid.gap.record import Budget, Known
 from torchid.gap.rows import LogRows, kept
 from torchid.gap.settings import GapSettings
-from torchid.gap.stacked import beside, earlier_of
+from torchid.gap.stacked import LEFT_OUT, MISFIT, beside, earlier_of, errors_of, why_left_out
 from torchid.identification.knowledge import known_names
 from torchid.log.model import Log
 from torchid.parallel.pace import Pace
@@ -96,13 +96,27 @@ def diagnose_torque(
     # Of an arm that stands nothing but a push is told.
     before = None if problem.data.stands else before
     earlier = None if before is None else earlier_of(before, problem, force)
+    left_out = "" if earlier is None else why_left_out(earlier, problem)
+    earlier = None if left_out else earlier
     del log, held_out, before  # a long one is searched in part, and is now let go
     give_back_memory()
     # Of no torque, or of an arm that stands still, there is nothing to say yet.
     tells = bool(problem.data.keep.any()) and not problem.data.stands
     told = telling(watch, robot) if tells and watch is not None else None
     asked = problem if earlier is None else beside(problem, earlier)
-    explained = of_asked_log(explain(asked, told, pace), problem)
+    explained = explain(asked, told, pace)
+    if earlier is not None and max(both := _errors(explained)) > MISFIT:
+        # One model does not hold for both logs. If one does for the log that is asked, it is that.
+        alone = explain(problem, told, pace)
+        (own,) = _errors(alone)
+        if max(both) > math.hypot(MISFIT, own):
+            left_out = (
+                f"{LEFT_OUT} {earlier.source}, which is left out: together {both[0]:.0%} of its "
+                f"torque and {both[1]:.0%} of that of the log that is asked are unexplained, "
+                f"{own:.0%} of the latter alone."
+            )
+            earlier, explained = None, alone
+    explained = of_asked_log(explained, problem)
     problem = explained.search.library.problem
     if not explained.found.fit.terms:
         problem.data.require_motion()
@@ -111,7 +125,15 @@ def diagnose_torque(
     pace("locating")
     result = describe_diagnosis(decision, explained, pace)
     pace("done")
-    return result if earlier is None else replace(result, since=earlier.source)
+    if earlier is not None:
+        return replace(result, since=earlier.source)
+    return replace(result, warnings=(left_out, *result.warnings)) if left_out else result
+
+
+def _errors(explained: Explained) -> list[float]:
+    """`errors_of` an explanation."""
+    search, fit = explained.search, explained.found.fit
+    return errors_of(search.evidence.left(fit), search.library.problem)
 
 
 def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> TorqueDiagnosis:

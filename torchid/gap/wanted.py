@@ -45,8 +45,8 @@ class Wanted:
 
     def asks(self, name: str, joints: Sequence[int]) -> bool:
         """Whether an effect of this name at these joints is looked for."""
-        if self.only is None or name == BASE:
-            return self.only is None
+        if self.only is None:
+            return name == BASE or name in self.names
         return any(name == n and (j is None or j in joints) for n, j in self.only)
 
 

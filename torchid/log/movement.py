@@ -114,7 +114,8 @@ def moving_speed_of(log: "Log") -> Float[Tensor, " n"]:
     speeds, noise = [], torch.zeros(log.n, dtype=torch.float64)
     for rows, rate in zip(log.slices(), log.rates, strict=True):
         step, count = max(1, round(_LOOK_S * rate)), rows.stop - rows.start
-        begun = torch.arange(rows.start, rows.stop - step, max(1, count // _ENOUGH_STEPS))
+        last = max(rows.start, rows.stop - step)
+        begun = torch.arange(rows.start, last, max(1, count // _ENOUGH_STEPS))
         speeds.append((log.q[begun + step] - log.q[begun]).abs() * (rate / step))
         noise = torch.maximum(noise, white_variance([log.q[rows][:_ENOUGH_STEPS]]).cpu() / rate)
     all_speeds = torch.cat(speeds).double().cpu()

@@ -10,6 +10,7 @@ is pooled by itself, for a joint has one size and one correlation of what is lef
 
 from dataclasses import replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
@@ -22,8 +23,8 @@ from torchid.results.cause import When
 from torchid.robot.knowledge import Knowledge
 
 KNOWN = 1e-3
-"""Share of a candidate's squares beyond the model's own columns below which it is one of them
-[1]."""
+"""Share of a candidate's squares beyond the model's own columns below which it is one of them, and
+in the earlier log below which that log does not show it [1]."""
 
 NEW: When = "new"
 BOTH: When = "in both"
@@ -106,17 +107,21 @@ class TwoLogs(Library):
         return bool(left < KNOWN * (own**2).sum())
 
     def offered(self, terms: list[Term]) -> list[Term]:
-        """Each candidate over both logs, unless the model has it, and as a new one."""
+        """Each candidate over both logs, unless the model has it, and as a new one; of what the
+        earlier log does not show nothing is said of when it came."""
         out = []
         for term in terms:
-            for since in (BOTH, NEW):
-                # What happened once happened in one log; of what the model is made of only a change
-                # can be a cause.
-                once = term.effect is not None and term.effect.event
-                if since == BOTH and (once or self._is_the_models(term)):
-                    continue
-                one = replace(term, since=since, key=(since, *term.key))
-                out.append(self._zeroed(one))
+            whole = float((term.columns**2).sum())
+            shown = whole - float(((term.columns * self.asked) ** 2).sum()) > KNOWN * whole
+            sides: list[When | Literal[""]] = [BOTH, NEW] if shown else [""]
+            if term.effect is not None and term.effect.event:
+                sides = [NEW]  # what happened once happened in one log
+            # Of what the model is made of only a change can be a cause.
+            if sides != [NEW] and self._is_the_models(term):
+                sides = sides[1:]
+            for since in sides:
+                key = (since, *term.key) if since else term.key
+                out.append(self._zeroed(replace(term, since=since, key=key)))
         return [t for t in out if t.columns.any()]
 
     def like(self, made: Term, term: Term) -> Term:

@@ -61,7 +61,8 @@ def friction_laws(decision: Decision, taken: Shares, causes: Sequence[Cause]) ->
     for joint in range(samples.n):
         own = speeds[joint, problem.data.keep[joint] & (speeds[joint] != 0)]
         friction = _Friction(decision, speeds[joint], joint)
-        if len(own) >= FEWEST and (friction.corrected or friction.given):
+        moves = any(friction.moves(own, way) for way in (-1.0, 1.0))
+        if moves and (friction.corrected or friction.given):
             law = friction.law(own, taken, told)
             named = [c.how_sure for c in causes if c.at == (joint,) and law.has(c.effect)]
             alone = len(named) == 1 and not law.unnamed > 0
@@ -203,7 +204,7 @@ class _Friction:
         speeds = own.abs().quantile(own.new_tensor(AT))
         speeds = own.new_tensor([float(digits(x, 2)) for x in speeds.tolist()])
         ways = [
-            [x if self._moves(own, way) else torch.full_like(speeds, torch.nan) for x in found]
+            [x if self.moves(own, way) else torch.full_like(speeds, torch.nan) for x in found]
             for way in (1.0, -1.0)
             for found in [self._torque(way * speeds)]
         ]
@@ -217,7 +218,7 @@ class _Friction:
         """Torque over the speeds of each direction that the log has."""
         at = []
         for way in (-1.0, 1.0):
-            if self._moves(own, way):
+            if self.moves(own, way):
                 slow, fast = own[own * way > 0].abs().quantile(own.new_tensor(ENDS)).tolist()
                 # 24: of a curve, in each direction
                 at.append(way * torch.linspace(slow, fast, 24, dtype=own.dtype))
@@ -227,7 +228,8 @@ class _Friction:
         return FrictionCurve(*(tuple(x.tolist()) for x in every))
 
     @staticmethod
-    def _moves(own: Float[Tensor, " M"], way: float) -> bool:
+    def moves(own: Float[Tensor, " M"], way: float) -> bool:
+        """Whether enough samples say what friction is this way."""
         return int((own * way > 0).sum()) >= FEWEST
 
     def _torque(
