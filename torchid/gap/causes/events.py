@@ -2,7 +2,7 @@
 what is left; and planes that the tool presses into.
 
 Beside a fit each window's force that fits best has its evidence, from differences of running sums.
-A push on a link must stand out from the other windows of a log. What is there again when the motion
+A push must stand out from the other windows of a log. What is there again when the motion
 is repeated is no event, whatever it is. The windows that were looked at are the price of one: the
 search decides which stay.
 """
@@ -85,9 +85,11 @@ class _Force:
         again: Sequence[torch.Tensor],
     ):
         self.place, self.bounds = place, library.samples.bounds
+        self.shortest = math.ceil(library.windows.shortest / library.samples.interval)
         pull = library.columns.on_all_joints(place).numpy() * library.keep
         size = np.sqrt((pull**2).mean(2))
-        std = 0.5 * (library.torque / np.maximum(size, 1e-9)).min(1)
+        most = library.scale.largest([place]).numpy()
+        std = 0.5 * np.minimum((library.torque / np.maximum(size, 1e-9)).min(1), most)
         pull = pull * std[:, None, None]
         self.own = _Sums.of(pull, left, weight)
         self.again = [
@@ -117,7 +119,9 @@ class _Force:
         while step:
             moves = itertools.product((-step, 0, step), repeat=2)
             ends = [(first + a, last + b) for a, b in moves]
-            ends = [e for e in ends if run.start <= e[0] and e[0] + 3 <= e[1] < run.stop]
+            ends = [
+                e for e in ends if run.start <= e[0] and e[0] + self.shortest <= e[1] < run.stop
+            ]
             best = ends[int(self.gains(np.array(ends)).argmax())] if ends else (first, last)
             if best == (first, last):
                 step //= 2
@@ -150,9 +154,9 @@ def pushes(library: Library, left: np.ndarray, weight: np.ndarray) -> list[Term]
         # How long the pushes may be: none of their windows are of the usual ones.
         extents = [some[which[k]].extent((int(spans[k, 0]), int(spans[k, 1]))) for k in found]
         for k, (first, last) in zip(found, extents, strict=True):
-            # Of many links some are always felt like what a law leaves.
+            # Some forces are always felt like what a law leaves.
             chance = _chance(best, spans, (first, last), extents, slow) * windows.count * len(some)
-            if some[0].place.along is not None and chance > FALSE_PUSH:
+            if chance > FALSE_PUSH:
                 continue
             begin, end = float(t[first]) - half, float(t[last - 1]) + half
             term = library.of_event(replace(some[which[k]].place, start=begin, stop=end))

@@ -91,7 +91,8 @@ def explain(
     fit = search.again(found.fit)
     # Whole motions left out say how far the gap closes; noise is what repeats, or a flexible
     # predictor, leave of that.
-    after = search.left_out(fit, np.where(library.asked, problem.folds.fold.numpy(), -1))
+    folds = np.where(library.asked, problem.folds.fold.numpy(), -1)
+    after = search.left_out(fit, search.shared(fit, folds))
     before = library.rms(library.gap)
     # What a predictor of the state foresees is no noise; without repeats all the rest is.
     share = foreseen(problem, torch.from_numpy(evidence.left(fit))).share.clamp(min=0).numpy()
