@@ -2,9 +2,9 @@
 what is left; and planes that the tool presses into.
 
 Beside a fit each window's force that fits best has its evidence, from differences of running sums.
-A push must stand out from the other windows of a log. What is there again when the motion
-is repeated is no event, whatever it is. The windows that were looked at are the price of one: the
-search decides which stay.
+A push must stand out from the other windows in which the arm moves alike. What is there again when
+the motion is repeated is no event, whatever it is. The windows that were looked at are the price of
+one: the search decides which stay.
 """
 
 import itertools
@@ -86,7 +86,7 @@ class _Force:
         again: Sequence[torch.Tensor],
     ):
         self.place, self.bounds = place, library.samples.bounds
-        self.shortest = math.ceil(library.windows.shortest / library.samples.interval)
+        self.least = math.ceil(library.windows.shortest / library.samples.interval)
         pull = library.columns.on_all_joints(place).numpy() * library.keep
         pull = pull * (0.5 * library.scale.largest([place]).numpy())[:, None, None]
         self.own = _Sums.of(pull, left, weight)
@@ -118,9 +118,7 @@ class _Force:
         while step:
             moves = itertools.product((-step, 0, step), repeat=2)
             ends = [(first + a, last + b) for a, b in moves]
-            ends = [
-                e for e in ends if run.start <= e[0] and e[0] + self.shortest <= e[1] < run.stop
-            ]
+            ends = [e for e in ends if run.start <= e[0] and e[0] + self.least <= e[1] < run.stop]
             best = ends[int(self.gains(np.array(ends))[0].argmax())] if ends else (first, last)
             if best == (first, last):
                 step //= 2
@@ -154,7 +152,7 @@ def pushes(library: Library, left: np.ndarray, weight: np.ndarray) -> list[Term]
         # How long the pushes may be: none of their windows are of the usual ones.
         extents = [some[which[k]].extent((int(spans[k, 0]), int(spans[k, 1]))) for k in found]
         # For how long what is left is felt as the same force: of the shortest windows, which lie a
-        # quarter of their length apart.
+        # quarter of their length apart; of no window a zero.
         short = (spans[:, 1] - spans[:, 0] == sizes[0]) & _clear(spans, extents)
         series = torch.from_numpy(np.append(0.0, np.maximum(best[short], 0.0)))
         slow = max(1, sizes[0] // 4) * float(integrated_time(series))
@@ -165,11 +163,9 @@ def pushes(library: Library, left: np.ndarray, weight: np.ndarray) -> list[Term]
             like = (speed <= SAME_FACTOR * speed[k]) & (speed[k] <= SAME_FACTOR * speed)
             like = like if like.sum() >= FEWEST_BLOCKS * len(sizes) else np.ones_like(like)
             chance = _chance(best[like], spans[like], (first, last), extents, slow)
-            if chance * looks > FALSE_PUSH:
-                continue
             begin, end = float(t[first]) - half, float(t[last - 1]) + half
             term = library.of_event(replace(some[which[k]].place, start=begin, stop=end))
-            if term is not None:
+            if term is not None and chance * looks <= FALSE_PUSH:
                 out.append(replace(term, shapes=windows.count * len(some)))
     return out
 
