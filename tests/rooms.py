@@ -3,11 +3,13 @@
 python -m tests.rooms [--write]
 
 Comments, docstrings (of attributes too) and blank lines do not count. A room above its budget is an
-error, and so is a raise of a budget that no fall of the same landing pays: the budgets of a landing
-sum up to no more than those that it starts from. A room that is built to replace another has a line
-of its own until the switch, when the old room's fall pays for it:
+error, and so is a raise of a budget that nothing pays. Two things may: a fall of the same landing,
+and a reserve, to which half of what a landing's budgets fall by in sum may be added, for what later
+ones add. A room that is built to replace another has a line of its own until the switch, when the
+old room's fall pays for it:
 
     heart = 3600
+    reserve = 150
     [replaces]
     heart = "gap"
 """
@@ -19,7 +21,7 @@ import subprocess
 import tokenize
 import tomllib
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from tests.documents import PACKAGES, ROOT
@@ -41,18 +43,22 @@ class Budgets:
     """Of each room."""
     replaces: dict[str, str] = field(default_factory=dict)
     """Rooms that are being built, with the room that each replaces."""
+    reserve: int = 0
+    """Of lines that went, those that what is new may still use."""
 
     @classmethod
     def parse(cls, text: str) -> "Budgets":
         """Read a text of TOML."""
         entries = tomllib.loads(text)
-        return cls(replaces=entries.pop("replaces", {}), lines=entries)
+        replaces, reserve = entries.pop("replaces", {}), entries.pop("reserve", 0)
+        return cls(entries, replaces, reserve)
 
     @property
     def text(self) -> str:
         """Such a text."""
         head = "# Lines of code that a room may have (tests/rooms.py)."
-        lines = [f"{room} = {lines}" for room, lines in sorted(self.lines.items())]
+        entries = self.lines | ({"reserve": self.reserve} if self.reserve else {})
+        lines = [f"{name} = {lines}" for name, lines in sorted(entries.items())]
         replaces = [f'{new} = "{old}"' for new, old in sorted(self.replaces.items())]
         return "\n".join([head, *lines, *(["[replaces]", *replaces] if replaces else ()), ""])
 
@@ -100,8 +106,10 @@ def above(found: Counter[str], allowed: dict[str, int]) -> list[str]:
 
 
 def unpaid(before: Budgets, now: Budgets) -> list[str]:
-    """What is wrong with the budgets of a landing: a sum above the one that it starts from, a room
-    being built that replaces none, or that is allowed more than the one it replaces."""
+    """What is wrong with the budgets of a landing: a sum above the one that it starts from by more
+    than the reserve falls, a reserve that rises by more than half of what the sum falls, or is
+    overdrawn, a room being built that replaces none, or that is allowed more than the one it
+    replaces."""
     wrong = []
     for new, old in sorted(now.replaces.items()):
         if old not in now.counted:
@@ -109,10 +117,16 @@ def unpaid(before: Budgets, now: Budgets) -> list[str]:
         elif now.lines.get(new, 0) > now.lines[old]:
             wrong.append(f"{new}: {now.lines[new]} lines replace the {now.lines[old]} of {old}")
     old, new = before.counted, now.counted
-    if (rise := sum(new.values()) - sum(old.values())) > 0:
+    rise, spent = sum(new.values()) - sum(old.values()), before.reserve - now.reserve
+    if rise > max(spent, 0):
         changes = {room: new.get(room, 0) - old.get(room, 0) for room in sorted({*old, *new})}
         named = ", ".join(f"{room} {by:+d}" for room, by in changes.items() if by)
-        wrong.append(f"budgets rise by {rise} lines, which no fall pays: {named}")
+        paid = f"of which the reserve pays {spent}" if spent > 0 else "which no fall pays"
+        wrong.append(f"budgets rise by {rise} lines, {paid}: {named}")
+    if -spent > (half := max(-rise, 0) // 2):
+        wrong.append(f"reserve rises by {-spent}, and half of what went is {half}")
+    if now.reserve < 0:
+        wrong.append(f"reserve is overdrawn: {now.reserve}")
     return wrong
 
 
@@ -146,7 +160,8 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="today's lines become the budgets")
     found, now = rooms(), budgets()
     if parser.parse_args().write:
-        now = Budgets({room: -(-lines // 10) * 10 for room, lines in found.items()}, now.replaces)
+        rounded = {room: -(-lines // 10) * 10 for room, lines in found.items()}
+        now = replace(now, lines=rounded)
         BUDGETS.write_text(now.text)
     allowed = now.lines
     for room, lines in sorted(found.items(), key=lambda item: -item[1]):
@@ -154,6 +169,7 @@ def main() -> None:
     for of, rooms_of in (("torchid", found.keys() - PACKAGES), ("all packages", found.keys())):
         lines, budget = (sum(n.get(room, 0) for room in rooms_of) for n in (found, allowed))
         print(f"{lines:6d} of {budget:6d}  lines of code of {of}")
+    print(f"{now.reserve:6d}            in reserve")
     wrong = above(found, allowed)
     if began := start():
         print(f"beside the budgets of {began[0][:8]}: {sum(began[1].counted.values())}")

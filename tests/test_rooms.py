@@ -56,6 +56,32 @@ def test_only_a_sum_that_rises_is_refused(before: dict[str, int], now: dict[str,
     assert all(f"{room} +" in wrong[0] for room in raised if wrong)
 
 
+@given(before=LINES, now=LINES, there=st.integers(0, 50), left=st.integers(-5, 80))
+def test_a_reserve_is_half_of_what_went_and_pays_for_what_is_new(
+    before: dict[str, int], now: dict[str, int], there: int, left: int
+):
+    rise = sum(now.values()) - sum(before.values())
+    wrong = unpaid(Budgets(before, reserve=there), Budgets(now, reserve=left))
+    balanced = left <= there - rise if rise > 0 else left - there <= -rise // 2
+    assert bool(wrong) == (not balanced or left < 0)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "words"),
+    [
+        ((9, 0), (3, 3), []),
+        ((9, 0), (3, 4), ["reserve rises by 4, and half of what went is 3"]),
+        ((3, 3), (6, 0), []),
+        ((3, 3), (7, 0), ["budgets rise by 4 lines, of which the reserve pays 3: a +4"]),
+        ((3, 1), (5, -1), ["reserve is overdrawn: -1"]),
+        ((3, 3), (3, 0), []),
+    ],
+)
+def test_a_reserve(before: tuple[int, int], now: tuple[int, int], words: list[str]):
+    a, b = (Budgets({"a": lines}, reserve=reserve) for lines, reserve in (before, now))
+    assert unpaid(a, b) == words
+
+
 def test_a_room_that_replaces_another_has_its_own_line_until_the_switch():
     before, building = Budgets({"old": 9, "b": 3}), {"new": "old"}
     both = Budgets(before.lines | {"new": 6}, building)
@@ -73,8 +99,8 @@ def test_a_room_that_replaces_another_has_its_own_line_until_the_switch():
 
 
 def test_budgets_are_read_as_they_are_written():
-    one = Budgets({"a": 3, "new": 2}, {"new": "a"})
-    assert Budgets.parse(one.text) == one
+    for one in (Budgets({"a": 3, "new": 2}, {"new": "a"}, 5), Budgets({"a": 3})):
+        assert Budgets.parse(one.text) == one
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ COMMANDS = {
     "identify": f"identify 3r LOG --out out --pictures {SEARCHED}",
     "randomise": "export GAP --randomise .9 --draws 16 --out out",
     "actuator": f"correct 3r LOG --to mjlab --with-effects --out out {SEARCHED}",
-    "gap": f"gap 3r LOG --out out --pictures --save-model a.yaml --to urdf {SEARCHED}",
+    "gap": f"gap 3r LOG --out out --pictures --save-model a.yaml {SEARCHED}",
     "fleet": f"fleet identify 3r LOG MOTION --store s --out out {SEARCHED}",
     "excite": "excite 3r --restarts 1 --duration 4 --save t.csv --ros2 r.json --out out",
     "extract": "extract 3r --runs 2 --stages 1 --generations 1 --no-certificate --out out",

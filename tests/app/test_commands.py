@@ -311,30 +311,15 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
 @pytest.mark.parametrize(
     ("line", "instead"),
     [
-        ("init run.csv --robot 3r", "--columns"),
-        ("fleet watch 3r logs", "torchid compare"),
-        ("withheld own 3r run.csv", "torchid calibrate"),
-        ("gap 3r run.csv --no-rollout", "leave it out"),
-        ("correct 3r run.csv --to urdf --rollout", "torchid correct"),
-        ("identify --project none", "--columns"),
+        ("gap --simulated sim.csv --real arm.csv", "torchid pair"),
+        ("gap --real=arm.csv", "torchid pair"),
+        ("gap 3r run.csv --to urdf --out out", "torchid correct"),
+        ("gap 3r run.csv --calibrate 3", "torchid calibrate"),
     ],
 )
 def test_what_is_gone_says_what_replaces_it(command, line, instead):
     done = command(*line.split())
     assert (done.code, done.out) == (1, "")
     assert done.err.startswith("error: ")
-    assert " is gone." in done.err
+    assert "` is gone." in done.err
     assert instead in done.err
-
-
-def test_a_project_file_is_not_left_aside_in_silence(command, tmp_path, monkeypatch):
-    """It may have held limits or a payload."""
-    (tmp_path / "torchid.toml").write_text('robot = "3r"\n')
-    (tmp_path / "below").mkdir()
-    monkeypatch.chdir(tmp_path / "below")
-    done = command("robot", "3r")
-    assert done.code == 1
-    assert "project files are no longer read" in done.err
-    assert str(tmp_path / "torchid.toml") in done.err
-    assert command("robot", "--help").code == 0
-    assert command("effects").code == 0

@@ -90,7 +90,6 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("gap", "--for", "mjcf"), ("--to", "--out DIR")),
         (("correct", "--to", "mjcf", "--effects", "none"), ("--effects", "all")),
         (
             ("correct", "--to", "mjcf", "--held-out", "LOG", "--held-out-fraction", "0.2"),

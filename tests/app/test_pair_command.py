@@ -1,4 +1,4 @@
-"""`torchid pair --simulated SIM --real REAL [ROBOT]`, and what `torchid gap` has of it."""
+"""`torchid pair --simulated SIM --real REAL [ROBOT]`."""
 
 import json
 
@@ -50,24 +50,6 @@ def test_an_effect_with_a_robot(command, pair, tmp_path):
     assert json.loads(record.read_text())["which"][0]["joints"] == [2]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--real", "real.csv"), "--simulated"),
-        (("--simulated", "sim.csv"), "--real"),
-        ((*BOTH, "--save-model", "x.yaml"), "needs its ROBOT"),
-        ((*BOTH, "--view", "x.mcap"), "--view"),
-        (("3r", "sim.csv", *BOTH), "LOG"),
-        (("ur10e", *BOTH), "joint"),
-    ],
-)  # fmt: skip
-def test_bad_options_of_gap(command, pair, monkeypatch, arguments, words):
-    monkeypatch.chdir(pair)
-    done = command("gap", *arguments)
-    assert done.code == 1
-    assert words in done.err
-
-
 @pytest.mark.slow
 def test_without_effects_there_is_no_corrected_model(command, pair, tmp_path):
     done = command("pair", "3r", "--simulated", pair / "fast.csv", "--real", pair / "real.csv",
@@ -92,34 +74,3 @@ def test_bad_options(command, pair, monkeypatch, arguments, code, words):
     done = command("pair", *arguments)
     assert done.code == code
     assert words in done.err
-
-
-def test_gap_says_the_same_and_that_it_moved(command, pair, monkeypatch, tmp_path):
-    monkeypatch.chdir(pair)
-    both = ("--simulated", "fast.csv", "--real", "real.csv")
-    now = command("pair", *both, "--json", tmp_path / "a.json")
-    before = command("gap", *both, "--json", tmp_path / "b.json")
-    assert now.code == before.code == 0
-    assert "torchid pair --simulated SIM" in " ".join(before.out.split())
-    assert "torchid pair" not in now.out
-    assert json.loads((tmp_path / "a.json").read_text()) == json.loads(
-        (tmp_path / "b.json").read_text()
-    )
-
-
-@pytest.mark.parametrize(
-    "more", [("--pictures", "--out", "out"), ("--servo", "kp=1"), ("--time", "9")]
-)
-def test_gap_of_a_pair_says_what_a_pair_has_not(command, pair, monkeypatch, tmp_path, more):
-    monkeypatch.chdir(tmp_path)
-    logs = ("--simulated", pair / "fast.csv", "--real", pair / "real.csv")
-    done = command("gap", *logs, *more)
-    assert (done.code, done.err.count(more[0])) == (1, 1)
-    assert not list(tmp_path.iterdir())
-
-
-def test_without_a_pair_robot_and_logs_are_needed(command):
-    for arguments in ((), ("3r",)):
-        done = command("gap", *arguments)
-        assert done.code == 2
-        assert "Missing argument" in done.err

@@ -83,6 +83,6 @@ def test_forms_of_a_law_take_of_the_error_together(shares, kept) -> None:
         effect_cause((e, [0.4]), [0.1], model(), model(), 0, share=share)
         for e, share in zip(effects, shares, strict=True)
     )
-    helping, others = that_help(Findings(causes, ()), ROBOT, held_out=False)
+    helping, others = that_help(Findings(causes, ()), ROBOT)
     assert helping.causes == tuple(causes[k] for k in kept)
     assert others == (len(kept) < 3)

@@ -23,7 +23,6 @@ def test_defaults():
         ({"cutoff": -1.0}, "cut-off"),
         ({"cutoff": True}, "cut-off"),
         ({"report_band": 0.0}, "band"),
-        ({"alpha": 0.01}, "log.looks / 0.3."),
         ({"folds": 1}, "folds"),
         ({"max_effects": 0}, "effects"),
         ({"held_out_fraction": 1.0}, "held-out"),

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from tests.causes import errors, numbers
+from torchid.report.page.answer import cause_line
 from torchid.results.answer import Answer, JointError, cause_cells
 from torchid.results.cause import Cause, Size, Window, cut_line
 
@@ -164,6 +165,40 @@ def test_likely_is_said_of_the_likeliest_alone(own, name, rivals):
         ambiguous_with=("viscous_friction", "stribeck_friction"),
     )  # fmt: skip
     assert (cause.name, cause.rivals) == (name, rivals)
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "name", "words"),
+    [
+        (0.62, 0.31, "torque gain", "torque gain on joint 1 (gain = 0.02)"),
+        (
+            0.48,
+            0.45,
+            "torque gain or torque offset",
+            "torque gain or torque offset on joint 1 (gain",
+        ),
+        (
+            0.31,
+            0.33,
+            "torque offset or torque gain",
+            "torque offset or torque gain on joint 1 (2 N m)",
+        ),
+    ],
+)
+def test_a_set_has_the_name_that_the_set_is_sure_of(own, other, name, words):
+    """No number, and no probability, stands beside what it is not of."""
+    cause = Cause(
+        effect="torque_gain", joints=(0,), share=0.2, how_sure=max(own, own + other - 0.31),
+        probabilities={"torque_gain": own, "torque_offset": other},
+        ambiguous_with=("torque_offset",), parameters={"gain": 0.02}, std={"gain": 0.001},
+        unit={"gain": "1"}, main="gain",
+    )  # fmt: skip
+    assert cause.name == name
+    said = answer(causes=(cause,)).headline
+    assert said.startswith(words[:1].upper() + words[1:])
+    assert (cause.rivals == "") == (own < 0.5)
+    assert bool(cause.known) == (own > other)
+    assert cause_line(cause)[3] == ("could also be torque offset" if own > 0.5 else "")
 
 
 def test_a_line_that_cuts_events_has_the_brackets_that_it_needs():

@@ -1,17 +1,13 @@
 """`torchid calibrate`: how often a cause would be named, were it on this arm and in these logs."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.output import Computed, Output
+from torchid.app.output import Computed
 from torchid.app.signature import Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-
-if TYPE_CHECKING:
-    from torchid.results.answer import Diagnosis
-    from torchid.withheld.planted import Calibration
 
 
 @command
@@ -34,20 +30,25 @@ def calibrate_command(
         effects: Effects to search over, comma-separated; `all` for the whole library.
         cutoff: Cut-off of the fit's zero-phase filter.
     """
+    from joblib import cpu_count
+
+    from torchid.gap.diagnosis import TorqueDiagnosis
     from torchid.report.withheld import report_of_calibration
 
     robot, log, apart, _ = trials.open(output, settings.held_out_fraction)
-    require_torque(robot, log)
+    _require_torque(robot, log)
     with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
             robot, log, held_out=apart, settings=settings, force=force, progress=progress
         )
     output.say(result.answer.headline)
-    checked = planted(result, log, causes, output)
+    assert isinstance(result, TorqueDiagnosis)
+    with output.progress("planting causes") as progress:
+        checked = torchid.calibrate(result, log, count=causes, jobs=cpu_count(), progress=progress)
     output.give(checked, "calibration.json", report_of_calibration, seed=settings.seed)
 
 
-def require_torque(robot: "torchid.Robot", log: "torchid.Log") -> None:
+def _require_torque(robot: "torchid.Robot", log: "torchid.Log") -> None:
     """Raise a TorchidError of a log without torque, before it is diagnosed."""
     from torchid.design.sensor import sensor_of
 
@@ -57,14 +58,3 @@ def require_torque(robot: "torchid.Robot", log: "torchid.Log") -> None:
             got=f"{log.label}: commands and positions",
             expected="torques tau1.., or currents i1.. with drive gains",
         )
-
-
-def planted(result: "Diagnosis", log: "torchid.Log", causes: int, output: Output) -> "Calibration":
-    """So many causes planted in what a diagnosis leaves of a log of torques."""
-    from joblib import cpu_count
-
-    from torchid.gap.diagnosis import TorqueDiagnosis
-
-    assert isinstance(result, TorqueDiagnosis)
-    with output.progress("planting causes") as progress:
-        return torchid.calibrate(result, log, count=causes, jobs=cpu_count(), progress=progress)

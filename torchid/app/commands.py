@@ -3,7 +3,6 @@
 import re
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -32,16 +31,12 @@ from torchid.errors import TorchidError
 from torchid.other_packages import COMMANDS, loaded
 
 GONE = {
-    "init": "give each command its options; --columns takes a file",
-    "--project": "give each command its options; --columns takes a file",
-    "fleet watch": "torchid compare RESULT..., of a unit's sessions",
-    "withheld own": "torchid calibrate ROBOT LOG... --causes N",
-    "--rollout": "torchid correct tries a corrected file on the log",
-    "--no-rollout": "leave it out: gap simulates nothing",
+    "gap --simulated": "torchid pair --simulated SIM --real REAL [ROBOT]",
+    "gap --real": "torchid pair --simulated SIM --real REAL [ROBOT]",
+    "gap --to": "torchid correct ROBOT LOG... --to FORMAT",
+    "gap --calibrate": "torchid calibrate ROBOT LOG... --causes N",
 }
-"""Commands and options that 0.3 had last, and what replaces them."""
-PROJECT = "torchid.toml"
-"""The project file of 0.3."""
+"""Options that the release before had last, and what replaces them."""
 
 
 class Group(TyperGroup):
@@ -53,11 +48,6 @@ class Group(TyperGroup):
         about = {name: _in_short(one.help or "") for name, one in self.commands.items()}
         show_group(ctx.command_path, self.help or "", about)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is named, unless it is gone."""
-        _require_there(ctx, f"{_path(ctx)} {args[0]}".strip())
-        return super().resolve_command(ctx, args)
-
 
 class Command(TyperCommand):
     """A command whose help has panels."""
@@ -67,25 +57,12 @@ class Command(TyperCommand):
         show_command(ctx.command_path, self.help or "", OPTIONS[_path(ctx)])
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Raise where an option is gone, or a project file would have said what is not given."""
-        for option in (arg.partition("=")[0] for arg in args if arg.startswith("--")):
-            _require_there(ctx, option)
-        here = Path.cwd()
-        file = next((f for x in (here, *here.parents) if (f := x / PROJECT).is_file()), None)
-        of_one_robot = any(param.name == "tip" for param in self.params)
-        if file and of_one_robot and "--help" not in args and not ctx.resilient_parsing:
-            raise TorchidError(
-                "project files are no longer read.",
-                got=str(file),
-                hint=f"{GONE['--project']}; limits and payload stand in the robot's file. Then "
-                "take this one away",
-            )
+        """Raise where an option is gone."""
+        for option in (arg.partition("=")[0] for arg in args):
+            gone = f"{_path(ctx)} {option}"
+            if gone in GONE and not ctx.resilient_parsing:  # a shell that completes shows no error
+                raise TorchidError(f"`{gone}` is gone.", hint=GONE[gone])
         return super().parse_args(ctx, args)
-
-
-def _require_there(ctx: Any, name: str) -> None:
-    if name in GONE and not ctx.resilient_parsing:  # a shell that completes shows no error
-        raise TorchidError(f"{name} is gone.", hint=GONE[name])
 
 
 def _path(ctx: Any) -> str:

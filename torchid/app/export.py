@@ -3,7 +3,7 @@ logs to a corrected file of the simulator, in one call."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import typer
 
@@ -16,9 +16,6 @@ from torchid.errors import TorchidError
 from torchid.files import require_name
 from torchid.gap.settings import GapSettings
 from torchid.robot.config_files import names_robot
-
-if TYPE_CHECKING:
-    from torchid.export.projection import Target
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
@@ -166,9 +163,11 @@ def correct_command(
     if name is not None:
         require_name(name)
     robot, log, apart, _ = trials.open(output, settings.held_out_fraction)
+    from torchid.export.correct import file_format, require_field
     from torchid.report.exported import report_of_correction
 
-    kind = file_for(to, robot, log)
+    kind = file_format(to)
+    require_field(kind, robot, log)
     beside = with_effects and (to if to == "isaaclab" or to == "mjlab" else True)
     with output.progress("preparing") as progress, trials.line_to_mend():
         result = torchid.diagnose(
@@ -180,16 +179,3 @@ def correct_command(
     )  # fmt: skip
     shown = output.keep(done, "correction.json", report_of_correction)
     output.tell(replace(shown, parts=[result.answer.headline, *shown.parts]))
-
-
-def file_for(to: Simulated, robot: "torchid.Robot", log: "torchid.Log") -> "Target":
-    """The format of the corrected file for a simulator.
-
-    Raises:
-        TorchidError: it has no field for what the log says.
-    """
-    from torchid.export.correct import file_format, require_field
-
-    kind = file_format(to)
-    require_field(kind, robot, log)
-    return kind

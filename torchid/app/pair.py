@@ -15,28 +15,26 @@ from torchid.app.signature import Fields, Switch, command
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
+LOGS = Annotated[list[Path], typer.Option(metavar="LOG"), RECORDED]
+
 
 @dataclass(frozen=True, kw_only=True)
 class BothLogs(opt.Trials):
-    """Logs of one arm; or, in their place, of a simulator and of an arm.
+    """Logs of a simulator, and of an arm under the same commands.
 
     Attributes:
-        simulated: As `torchid pair`, which takes its place: log of the simulator, of the same
-            commands as --real. May be given several times.
-        real: As `torchid pair`, which takes its place: log of the arm, one for each of
-            --simulated.
+        robot: Built-in name or file of the simulator's robot: then effects are named, too.
+        simulated: Log of the simulator, of the same commands as --real. May be given several times.
+        real: Log of the arm, one for each of --simulated.
     """
 
     robot: Annotated[str, typer.Argument(metavar="ROBOT"), ROBOT] = ""
     logs: Annotated[list[Path] | None, opt.LOGS, RECORDED] = None  # type: ignore[assignment]
-    simulated: opt.LogFiles = None
-    real: opt.LogFiles = None
+    simulated: LOGS
+    real: LOGS
 
 
-_Required = Annotated[list[Path], typer.Option(metavar="LOG"), RECORDED]
-_PAIR = Fields(
-    "robot torque columns topic gain kp kd tip root lock base", simulated=_Required, real=_Required
-)
+_PAIR = Fields("robot simulated real torque columns topic gain kp kd tip root lock base")
 _OUTPUT = Fields("json_file out report verbose overwrite quiet threads")
 
 
@@ -64,46 +62,18 @@ def pair_command(
     Args:
         effects: Effects to search over, comma-separated; `all` for the whole library.
         cutoff: Cut-off of the fit's zero-phase filter.
-        robot: Built-in name or file of the simulator's robot: then effects are named, too.
-        simulated: Log of the simulator, of the same commands as --real. May be given several times.
-        real: Log of the arm, one for each of --simulated.
         save_model: Write the simulator's robot with what the arm has more, as a .yaml.
         no_rows: Keep no log beside the model of --save-model.
         force: Name effects of an arm's log that looks wrong all the same.
-    """
-    compare(both, settings, output, save_model, force=force, rows=not no_rows)
-
-
-def compare(
-    both: BothLogs,
-    settings: GapSettings,
-    output: Output,
-    model: Path | None,
-    *,
-    force: bool,
-    rows: bool,
-) -> None:
-    """Hold logs against each other, write what differs, and print it.
-
-    Args:
-        both: the logs, and the robot where there is one.
-        settings: of the search for effects.
-        output: where results go.
-        model: file of the corrected robot.
-        force: whether effects are named of a log that looks wrong.
-        rows: whether a log is kept beside the model.
-
-    Raises:
-        TorchidError: a model is asked for without a robot, or as `torchid.compare_pair`.
     """
     from torchid.log.readers import open_logs
     from torchid.report.pair import report_of_pair
     from torchid.robot.config_files import robot_file
 
-    if model is not None and not both.robot:
+    if save_model is not None and not both.robot:
         raise TorchidError("--save-model corrects the simulator's robot, and needs its ROBOT.")
     robot = both.load() if both.robot else None
-    sides = {"simulated": both.simulated or [], "real": both.real or []}
+    sides = {"simulated": both.simulated, "real": both.real}
     named = [(side, str(path), path) for side, paths in sides.items() for path in paths]
     own = [("robot", both.robot, robot_file(both.robot))] if robot else []
     files = output.hashed([*own, *named])
@@ -122,6 +92,6 @@ def compare(
         settings={} if result.of_arm is None else settings_of(result.of_arm, None),
     )  # fmt: skip
     try:
-        output.put(model, partial(result.write_corrected, rows=rows))
+        output.put(save_model, partial(result.write_corrected, rows=not no_rows))
     finally:  # what differs is said where it is no model, too
         output.tell(kept)

@@ -43,7 +43,6 @@ _PANELS = (
     ("Options", "held_out save out pictures report save_model"),
     ("Two logs", "simulated real before no_rows"),
     ("Search", "time background parameters worthwhile worthwhile_torque gain_std max_effects"),
-    ("Search", "calibrate"),
     ("Search", "runs stages generations population penalty schedule engine certificate"),
     ("Fit", "cutoff held_out_fraction rows reversal method covariance signs essential"),
     ("Fit", "error_cutoff"),

@@ -298,13 +298,12 @@ def read(
     if log.tau is not None and (held_out is None or held_out.tau is not None):
         refuse_repeated(log, held_out)
     cutoff = None if settings.cutoff == "auto" else settings.cutoff
-    # What is searched and what is held out have one rate, the lower of the two.
-    rates = [] if held_out is None else [*log.rates, *held_out.rates]
-    rate = min(rates, default=math.inf)
-    data = prepare(robot, log, cutoff, 0.0, settings.report_band, settings.gain_std, rate, force)
+    data = prepare(robot, log, cutoff, 0.0, settings.report_band, settings.gain_std, force=force)
     if held_out is None:
         return data, None
+    # What is held out is read as what is searched is, at its rate at most.
     judged = prepare(
-        robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std, rate, force
-    )
+        robot, held_out, data.samples.cutoff, data.end + 1.0, data.band, data.gain_std,
+        data.samples.rate, force,
+    )  # fmt: skip
     return data, judged

@@ -109,7 +109,6 @@ def diagnose(
             "`before=...` is for logs of torques.", got=f"{log.label}: commands and positions"
         )
     earlier, missing = earlier_log(robot, before, log, rows=rows and torques)
-    every = log if held_out is None else Log.concatenate([log, held_out])
     if torques:
         pace = Pace(progress, STAGES, SEARCH, MUST, time, begun=begun)
     else:
@@ -117,9 +116,11 @@ def diagnose(
     pace("checking the log")
     # Several threads of BLAS make small matrices many times slower.
     with threadpool_limits(1, "blas"):
-        doubts = ask_first(robot, every, force=force)
+        doubts = ask_first(robot, log, force=force)
+        # What speaks against a held-out log is said, and changes nothing of the answer.
+        of_held_out = () if held_out is None else ask_first(robot, held_out, force=force).warnings
         handed = [log]  # a long log is let go as soon as it is prepared
-        del every, log
+        del log
         found: TorqueDiagnosis | PositionDiagnosis
         if torques:
             found = diagnose_torque(
@@ -134,7 +135,7 @@ def diagnose(
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
-    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *told))
+    found = replace(found, doubt=text, warnings=(*missing, *doubts.warnings, *of_held_out, *told))
     if pace.stopped_after is not None:
         stopped = Stopped(pace.stopped_after, pace.left_out)
         found = replace(found, stopped_after=stopped, warnings=(str(stopped), *found.warnings))

@@ -53,13 +53,19 @@ class Problem:
         return self.given.model.robot
 
     @property
+    def left_out(self) -> JudgedOn:
+        """The log that is searched, each part of it in its turn: data that decide."""
+        return JudgedOn.by_names((s.name for s in self.data.segments), "left out in turn")
+
+    @property
     def judged_on(self) -> JudgedOn:
-        """The data that judge: logs that were held out, or each log in its turn."""
-        held_out = self.judged is not None
-        names = [s.name for s in (self.judged or self.data).segments]
-        if held_out and self.settings.held_out_fraction > 0:
+        """The data that errors are told of: logs that were held out, or each log in its turn."""
+        if self.judged is None:
+            return self.left_out
+        names = [s.name for s in self.judged.segments]
+        if self.settings.held_out_fraction > 0:
             names = [f"the end of {name}" for name in names]
-        return JudgedOn.by_names(names, "held out" if held_out else "left out in turn")
+        return JudgedOn.by_names(names, "held out")
 
     @cached_property
     def draws(self) -> Draws:

@@ -58,18 +58,6 @@ class GapSettings:
     seed: int = 0
     only: tuple[tuple[str, int | None], ...] | None = None
 
-    def __new__(cls, *_: object, **named: object) -> "GapSettings":
-        """Settings, none of them one that went."""
-        if "alpha" in named:
-            raise TorchidError(
-                "there is no `alpha` any more: causes have probabilities.",
-                got=f"alpha={named['alpha']}",
-                expected="nothing: looking costs a cause log(looks / 0.3) nats, windows of time "
-                "among the looks, and it is named from a probability of one half",
-                hint="`GapSettings(worthwhile=...)` says how large it must be",
-            )
-        return super().__new__(cls)
-
     def __post_init__(self) -> None:
         require_choice("parameters", self.parameters, get_args(Parameters))
         if self.effects is not None and not self.effects:

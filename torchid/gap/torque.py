@@ -115,19 +115,19 @@ def diagnose_torque(
 def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> TorqueDiagnosis:
     """The answer, from a decision on what was explained: where, which, how far, and what this log
     could not show, as far as there is time."""
-    found, checked, far = decision.found, decision.checked, decision.checked.far
+    found, checked, final = decision.found, decision.checked, decision.final
     problem, data, settings = found.problem, found.problem.data, found.problem.settings
     falls = shares_of(found)
-    taken = Taken.of(falls, far)
+    taken = Taken.of(falls, checked.far, final.far)
     # What is recommended is a robot of bodies; what that costs is said.
     corrected, cost = found.solution.model, torch.zeros(problem.robot.n)
     if any(p.inertial or p.change is not None for p in found.solution.parts):
         robot, cost = with_bodies_nearest(corrected.robot, data.segments)
         corrected = replace(corrected, robot=robot)
-    far = replace(far, judged=problem.judged_on)
-    named = describe_findings(found, decision.claims, taken, far, corrected.robot)
+    far = replace(final.far, judged=problem.judged_on)
+    named = describe_findings(found, decision.claims, taken, corrected.robot)
     said = with_refit(named, decision)
-    joints, regimes = where(checked.shown, checked.noise.floor, settings.seed, band=data.band)
+    joints, regimes = where(final.shown, final.noise.floor, settings.seed, band=data.band)
     unseen = not_testable(found)
     # What was known, and what is now: the corrected model holds laws, for a push is no part of it.
     after = after_log(found)
@@ -135,7 +135,7 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
     recommended = Model(corrected.robot, lasting).described()
     known = known_of(found, after, decision.least)
     said = with_changes(said, known, problem.robot)
-    said, harmful = that_help(said, problem.robot, problem.judged is not None)
+    said, harmful = that_help(said, problem.robot)
     small, of_few = tuple[Cause, ...](), tuple[Cause, ...]()
     if pace.has_time("small effects"):
         small = small_effects(found, explained)
@@ -150,14 +150,15 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
     if not said.causes:
         far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
     if far.closed is not None:
-        shares = budget(checked.refitted, checked.shown, checked.noise.floor)
+        shares = budget(final.refitted, final.shown, final.noise.floor)
     return TorqueDiagnosis(
         robot=problem.given.model.described(),
         corrected=replace(recommended, knowledge=after),
         status=status_of(
             said,
-            replace(checked, far=far),
-            found.worth(far.rms_before.square()),
+            checked,
+            final,
+            found.worth(checked.far.rms_before.square()),
             decision.unnamed_squares(falls),
             hides or is_poor(found, unseen),
             shown=all(t.shown for t in found.terms),
@@ -169,18 +170,18 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         causes=said.causes,
         how_far=far,
         budget=shares,
-        floor=checked.noise.floor,
+        floor=final.noise.floor,
         not_testable=tuple(unseen),
         next_experiment=next_experiment(found, said.open),
-        traces=tuple(checked.shown),
+        traces=tuple(final.shown),
         band=data.band,
         cutoff=data.samples.cutoff,
         settings=settings,
         refitted=problem.wanted.free,
-        warnings=ordered(warnings_of(found, checked, cost)),
+        warnings=ordered(warnings_of(decision, cost)),
         friction=friction_laws(decision, falls, said.causes),
         covariance=covariance_of(found.solution),
-        residual=residuals(checked.shown),
+        residual=residuals(final.shown),
         small=small,
         suspects=(*unnamed, *of_few),
         knowledge=known,
@@ -188,17 +189,15 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
     )
 
 
-def that_help(said: Findings, robot: Robot, held_out: bool) -> tuple[Findings, bool]:
+def that_help(said: Findings, robot: Robot) -> tuple[Findings, bool]:
     """Those that take something of the error away, of a joint's law all forms together, and whether
-    there are others: these stay in the model, unnamed. Held-out data on which all of them fail are
-    said first, with their names."""
+    there are others: these stay in the model, unnamed."""
     laws = [_law(c, robot) for c in said.causes]
     taken = dict.fromkeys(laws, 0.0)
     for law, cause in zip(laws, said.causes, strict=True):
         taken[law] += cause.share
-    failed = said.causes and all(c.share == 0 for c in said.causes) and held_out
     pairs = zip(laws, said.causes, strict=True)
-    helping = tuple(c for law, c in pairs if failed or not taken[law] <= 0)
+    helping = tuple(c for law, c in pairs if not taken[law] <= 0)
     return replace(said, causes=helping), len(helping) < len(said.causes)
 
 
@@ -216,7 +215,7 @@ def with_refit(said: Findings, decision: Decision) -> Findings:
     given = problem.wanted.free and not problem.fitted_first
     if not given or far.closed is None or far.closed_ci95 is None or far.closed_ci95[0] <= 0:
         return said
-    bodies = body_cause((), share=far.closed, judged=problem.judged_on)
+    bodies = body_cause((), share=far.closed, judged=problem.left_out)
     return replace(said, causes=tuple(sorted((*said.causes, bodies), key=lambda c: -c.share)))
 
 

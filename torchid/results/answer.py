@@ -280,7 +280,8 @@ class Answer(Part, frozen=True, kw_only=True):
         """The suspect that takes most of the error, where causes with a sure name close the lesser
         part of what the corrected model does; else None."""
         held = [c for c in self.suspects if c.share == c.share]
-        unsure = bool(held) and self.unnamed > self.less / 2
+        named = sum(c.share for c in self.causes if c.share == c.share)
+        unsure = bool(held) and self.unnamed > named
         return max(held, key=lambda c: c.share) if unsure else None
 
     @property
@@ -410,7 +411,7 @@ class Answer(Part, frozen=True, kw_only=True):
             inner = values_of(same, most=values)
         elif size is None or kind:
             inner = f"{digits(math.hypot(*map(self.takes, same)), 2)} {unit_words(self.unit)}"
-        elif size.plain and (len(first.sizes) == 1 or first.effect == PAYLOAD):
+        elif size.plain and first.has_own_name and 1 in (len(first.sizes), first.effect == PAYLOAD):
             return f"{size.words} {name}"
         else:
             inner = size.named

@@ -33,8 +33,8 @@ from torchid.statistics.criteria import LIKELY
 
 MOST_SIZES = 3
 """Numbers of a cause that are shown in a table."""
-MOST_NAMES = 2
-"""Logs that a sentence names."""
+MOST_NAMES, MOST_MEMBERS = 2, 3
+"""Logs that a sentence names, and members of a set."""
 
 NO_FIELD = "Give the simulator this torque: no field of its file takes a negative number."
 """What to do about a number with a sign that files cannot say."""
@@ -297,11 +297,17 @@ class Cause(Part, frozen=True, kw_only=True):
         return self.probabilities.get(self.effect, 1.0) < LIKELY
 
     @property
-    def any_of(self) -> str:
-        """Names of the cause's set, the likeliest first, where another than its own is likeliest;
-        else empty."""
-        ranked = sorted(self.probabilities, key=lambda name: -self.probabilities[name])
-        return listed(map(effect_words, ranked if self.effect in ranked[1:] else []), "or")
+    def has_own_name(self) -> bool:
+        """Whether its name is that of its effect alone, of which its numbers and its remedy are."""
+        return not self.one_of_a_set or bool(self.branch)
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names of the effects of its set, the likeliest first, where no member is likely by
+        itself: then the set has the name, for the probability is the set's. Else its own."""
+        if not self.one_of_a_set:
+            return (self.effect,)
+        return tuple(sorted(self.probabilities, key=lambda name: -self.probabilities[name]))
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -319,7 +325,10 @@ class Cause(Part, frozen=True, kw_only=True):
 
     @property
     def known(self) -> tuple[Size, ...]:
-        """Sizes that the data determine; of a change of the file those that the file has."""
+        """Sizes that the data determine; of a change of the file those that the file has; none
+        where another of its set is likelier, whose they are not."""
+        if self.members[0] != self.effect:
+            return ()
         return tuple(
             s for s in self.sizes if s.determined and (s.was is not None or not self.changed)
         )
@@ -331,14 +340,17 @@ class Cause(Part, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """The cause's name, in words."""
-        if self.branch:
-            likely = f"likely {msgspec.structs.replace(self, branch='').name}"
-            return f"{self.kind} ({f'one of {self.any_of}' if self.any_of else likely})"
-        if self.effect != LINK:
-            return effect_words(self.effect)
-        links = f"{'s' * (len(self.at) > 1)} {listed(str(k + 1) for k in self.at)}"
-        return f"inertia of link{links}" if self.at else "inertial parameters"
+        """What is as sure as is said: the cause's name, in words; its set's, where no member is
+        likely by itself; its branch's."""
+        own = effect_words(self.effect)
+        if self.effect == LINK:
+            links = f"{'s' * (len(self.at) > 1)} {listed(str(k + 1) for k in self.at)}"
+            own = f"inertia of link{links}" if self.at else "inertial parameters"
+        words = [own if m == self.effect else effect_words(m) for m in self.members]
+        if not self.branch:
+            return listed(words, "or", most=MOST_MEMBERS)
+        likeliest = self.members[0] == self.effect
+        return f"{self.kind} ({f'likely {own}' if likeliest else 'one of ' + listed(words, 'or')})"
 
     def values(self, std: bool = True) -> str:
         """The cause's numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60
@@ -357,12 +369,14 @@ class Cause(Part, frozen=True, kw_only=True):
 
     def in_words(self, size: Size) -> str:
         """One of its numbers, with its name where it has several."""
-        return size.words if len(self.sizes) == 1 else size.named
+        return size.words if len(self.sizes) == 1 and self.has_own_name else size.named
 
     @property
     def rivals(self) -> str:
-        """`, or Stribeck friction`: what the log cannot separate from it."""
-        others = [] if self.branch and self.any_of else list(map(effect_words, self.ambiguous_with))
+        """`, or Stribeck friction`: what the log cannot separate from it, where its name does not
+        say so."""
+        said = self.one_of_a_set and not (self.branch and self.members[0] == self.effect)
+        others = [] if said else list(map(effect_words, self.ambiguous_with))
         more = f" or {len(others) - 1} others" if len(others) > 2 else ""
         return f", or {others[0] if more else listed(others, 'or')}{more}" if others else ""
 
@@ -450,4 +464,5 @@ def common_name(cause: Cause, others: Sequence[Cause]) -> str:
     """The name of a cause among others: of one effect no more than is sure of each."""
     if cause.effect == LINK:  # whose name has its place
         return cause.name
-    return next((c for c in others if c.effect == cause.effect and c.branch), cause).name
+    own = (c for c in others if c.effect == cause.effect and (c.branch or c.one_of_a_set))
+    return next(own, cause).name

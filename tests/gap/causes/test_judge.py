@@ -4,7 +4,7 @@ import torch
 
 from tests.gap.causes.problems import NAMES, candidate, problem, search
 from torchid.gap.causes.candidates import Library
-from torchid.gap.causes.judge import judge, probabilities
+from torchid.gap.causes.judge import judge, judged, probabilities
 from torchid.gap.causes.search import Search
 from torchid.statistics.bagging import Draws
 
@@ -85,3 +85,16 @@ def test_the_two_forms_that_are_there_are_sure() -> None:
     fit = of.again(of.evidence.fit(pair, of.library.rows))
     for one in judge(of, fit, NOTHING_LEFT, problem("dry_and_viscous").draws):
         assert one.sure > 0.9
+
+
+def test_rivals_of_one_term_of_a_law_are_none_of_the_next() -> None:
+    """Two other forms of the law stand for both terms, what else was tried for one alone."""
+    asked = problem("dry_and_viscous", names=(*NAMES, "power_law_friction"))
+    of = Search(Library(asked))
+    names = ("viscous_friction", "coulomb_friction")
+    terms = tuple(candidate(of, name, 1) for name in names)
+    fit = of.again(of.evidence.fit(terms, of.library.rows))
+    law = terms[0].law, terms[0].since
+    forms = [[t.name for t in some] for some, _ in of.other_forms(fit, law)]
+    assert judged(of, fit, terms[0], NOTHING_LEFT, asked.draws).own > 0.5
+    assert [[t.name for t in some] for some, _ in of.other_forms(fit, law)] == forms

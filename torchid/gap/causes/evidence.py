@@ -18,6 +18,7 @@ alone, and two explanations are compared with the same samples, both fitted with
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ PINS = 3
 """Times that coefficients beyond what physics allows are held at their bound."""
 
 KEPT = 64
-"""Sets whose normal equations are kept for those that have one term more."""
+"""Sets whose normal equations are kept, and fits whose remainders are."""
 
 DIFFERENT = 1e-12
 """Share of the squares left from which on two explanations make another torque: rounding."""
@@ -78,7 +79,6 @@ class Slabs(NamedTuple):
         spread: (K, K) root of the slabs' covariance.
         middle: (K,) where coefficients are expected, in units of their slabs.
         low, high: (K,) their bounds.
-        of: (K,) serials of their terms.
     """
 
     normal: np.ndarray
@@ -86,7 +86,6 @@ class Slabs(NamedTuple):
     middle: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    of: np.ndarray
 
 
 class Evidence:
@@ -161,47 +160,29 @@ class Evidence:
         return self._pairs[key]
 
     def slabs(self, terms: Sequence[Term]) -> Slabs:
-        """Of terms: what is kept of one more, without it, or of one fewer, the last appended."""
+        """Of terms, from the products of each two of them."""
         key = tuple(t.serial for t in terms)
         if key not in self._sets:
-            found = self._without_one(key) or self._appended(terms)
             if len(self._sets) >= KEPT:
                 del self._sets[next(iter(self._sets))]
-            self._sets[key] = found
+            self._sets[key] = self._assembled(terms)
         return self._sets[key]
 
-    def _without_one(self, key: tuple[int, ...]) -> Slabs | None:
-        """Of terms that are kept with one more among them; None where they are not."""
-        for more, (g, spread, *ends, owner) in self._sets.items():
-            if len(more) != len(key) + 1:
-                continue
-            gone = next((a for a, b in zip(more, key, strict=False) if a != b), more[-1])
-            if tuple(x for x in more if x != gone) == key:
-                stays = owner != gone
-                rows = np.append(stays, True)
-                own = (x[stays] for x in (*ends, owner))
-                return Slabs(g[:, rows][:, :, rows], spread[stays][:, stays], *own)
-        return None
-
-    def _appended(self, terms: Sequence[Term]) -> Slabs:
-        """Of terms, the last beside what is kept of the others."""
-        if not terms:
-            none, squares = np.zeros(0), (self.gap**2).sum(1).reshape(-1, 1, 1)
-            return Slabs(squares, np.zeros((0, 0)), none, none, none, none)
-        rest, last = terms[:-1], terms[-1]
-        before, spread, *ends = self.slabs(rest)
-        k, c = len(spread), last.count
-        g = np.zeros((self.n, k + c + 1, k + c + 1))
-        g[:, :k, :k], g[:, -1, -1] = before[:, :k, :k], before[:, k, k]
-        g[:, :k, -1] = g[:, -1, :k] = before[:, :k, k]
-        new = np.concatenate([self._pair(t, last) for t in terms], 1)
-        g[:, :-1, k:-1], g[:, k:-1, :k] = new, new[:, :k].transpose(0, 2, 1)
-        g[:, k:-1, -1] = g[:, -1, k:-1] = self._target(last)
-        root = np.zeros((k + c, k + c))
-        root[:k, :k], root[k:, k:] = spread, last.spread
-        middle = np.linalg.solve(last.spread, last.centre) if last.centre.any() else np.zeros(c)
-        own = middle, last.low, last.high, np.full(c, last.serial)
-        return Slabs(g, root, *(np.append(a, b) for a, b in zip(ends, own, strict=True)))
+    def _assembled(self, terms: Sequence[Term]) -> Slabs:
+        ends = np.cumsum([0, *(t.count for t in terms)])
+        at = [slice(a, b) for a, b in pairwise(ends)]
+        g, spread = np.zeros((self.n, ends[-1] + 1, ends[-1] + 1)), np.zeros((ends[-1], ends[-1]))
+        g[:, -1, -1] = (self.gap**2).sum(1)
+        own = np.zeros((3, ends[-1]))
+        for i, one in enumerate(terms):
+            g[:, at[i], -1] = g[:, -1, at[i]] = self._target(one)
+            spread[at[i], at[i]], own[1, at[i]], own[2, at[i]] = one.spread, one.low, one.high
+            if one.centre.any():
+                own[0, at[i]] = np.linalg.solve(one.spread, one.centre)
+            for j, other in enumerate(terms[: i + 1]):
+                g[:, at[j], at[i]] = products = self._pair(other, one)
+                g[:, at[i], at[j]] = products.transpose(0, 2, 1)
+        return Slabs(g, spread, *own)
 
     def white(self, terms: Sequence[Term], weight: np.ndarray) -> np.ndarray:
         """Whitened coordinates B' (K, K) of terms' columns, joints by weights (n,): B B' is the
@@ -219,7 +200,7 @@ class Evidence:
             samples: (n,) that each joint's squares count as.
         """
         terms = tuple(terms)
-        g, spread, middle, low, high, _ = self.slabs((*self.nuisance, *terms))
+        g, spread, middle, low, high = self.slabs((*self.nuisance, *terms))
         slack = 1e-9 * np.abs(spread).max(1, initial=0.0)
         centre = at = spread @ middle
         pinned, free = np.zeros(len(low), bool), None

@@ -121,8 +121,6 @@ class Search:
         self.watch = watch or (lambda search, fit: None)
         self.visited: set[frozenset[int]] = set()
         self.impossible: set[object] = set()
-        self._forms_of: Fit | None = None
-        self._forms: dict[object, list[tuple[tuple[Term, ...], Fit]]] = {}
         self._rises: dict[tuple[Fit, Fit], float] = {}
         self._secants: dict[tuple[int, float], Term | None] = {}
 
@@ -349,10 +347,6 @@ class Search:
         Returns:
             The forms and their fit; none where there are no two.
         """
-        if self._forms_of is not fit:
-            self._forms_of, self._forms = fit, {}
-        if law in self._forms:
-            return self._forms[law]
         evidence, own = self.evidence, [t for t in fit.terms if (t.law, t.since) == law]
         gone = frozenset(t.key for t in own)
 
@@ -365,8 +359,7 @@ class Search:
         pairs = [two for one in with_another(rest) for two in with_another(one)]
         best = max(pairs, key=evidence.value, default=fit)
         there = best is not fit and best.allowed
-        self._forms[law] = [(best.terms[-2:], best)] if there else []
-        return self._forms[law]
+        return [(best.terms[-2:], best)] if there else []
 
     def _exchanged(self, fit: Fit) -> list[Fit]:
         """Fits with one term for another: the likeliest with the samples at hand, and none that

@@ -1,8 +1,8 @@
 """What is answered of an explanation, and what it is worth on data that it was not fitted on.
 
 What is less likely than not stays in the model without a name, as long as something else has one.
-A held-out log takes part in no choice: it judges what was chosen, and a cause that does no good
-there loses its name.
+Each part of the log, left out in its turn, confirms what was fitted to the others. A held-out log
+is opened when all is chosen: it says how far that goes there, and changes no name and no number.
 """
 
 from collections.abc import Sequence
@@ -11,16 +11,17 @@ from functools import cached_property
 
 import torch
 
+from torchid.design.segments import Samples
+from torchid.gap.data import Data
 from torchid.gap.describe.claims import Claim, unsure
 from torchid.gap.describe.closing import Closing, closing, levels
-from torchid.gap.describe.model import Explanation, refitted
+from torchid.gap.describe.model import Explanation, Solution, refitted
 from torchid.gap.describe.noise import Noise, noise_of
 from torchid.gap.describe.shares import Shares
-from torchid.gap.describe.traces import traces
+from torchid.gap.describe.traces import Foretells, traces
 from torchid.gap.diagnosis import Trace, alien_joints, worse_than_none
-from torchid.gap.folds import FEW
+from torchid.gap.folds import FEW, Folds
 from torchid.gap.wanted import BASE
-from torchid.results.cause import JudgedOn
 from torchid.robot.model import torque_unit
 from torchid.typing import Bool, Float, Tensor
 
@@ -55,7 +56,8 @@ class Decision:
 
     Attributes:
         found: which.
-        checked: on data that it was not fitted on.
+        checked: on motions or stretches of the log that were left out in turn: what decides.
+        final: on the held-out log, where there is one, which decides nothing; else the same.
         claims: its causes.
         dropped: an explanation none of whose causes is likely, and these; nothing of it is
             answered.
@@ -66,6 +68,7 @@ class Decision:
 
     found: Explanation
     checked: Checked
+    final: Checked
     claims: tuple[Claim, ...]
     dropped: tuple[Explanation, tuple[Claim, ...]] | None
     least: Float[Tensor, " n"]
@@ -86,7 +89,9 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
         found: the explanation.
         claims: its causes, as sure as the log makes them.
     """
-    checked = check(found)
+    problem = found.problem
+    base = refitted(problem.given, problem.data, problem.wanted)
+    checked = check(found, base)
     # Where most joints' torque follows neither model nothing is confirmed, on no joint; nor where
     # the model as given is worse than none there, and other bodies altogether take its place.
     replaced = any(t.name == BASE for t in found.terms) and worse_than_none(checked.shown)
@@ -97,46 +102,59 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
     if unsure(told):
         dropped, taken_back = (found, tuple(told)), not all(one.unnamed for one in claims)
         found, told = found.dropped(), []
-        checked = check(found)
-    if found.problem.judged is not None:
-        _, in_turn = levels(in_turn_shown(found, checked.noise))
-        names = [s.name for s in found.problem.data.segments]
-        judged = JudgedOn.by_names(names, "left out in turn")
-        left_out = judged.error(float(in_turn.norm()), torque_unit(found.problem.robot))
-        checked = replace(checked, far=replace(checked.far, left_out=left_out))
-    return Decision(found, checked, tuple(told), dropped, least, taken_back)
+        checked = check(found, base)
+    final = checked
+    if problem.judged is not None:
+        final = check_held_out(found, base, checked.noise, problem.judged)
+        error = float(checked.far.rms_after.norm())
+        left_out = problem.left_out.error(error, torque_unit(problem.robot))
+        final = replace(final, far=replace(final.far, left_out=left_out))
+    return Decision(found, checked, final, tuple(told), dropped, least, taken_back)
 
 
-def in_turn_shown(found: Explanation, noise: Noise) -> list[Trace]:
-    """The log that was searched by models that were fitted without each fold."""
-    problem, folds = found.problem, found.problem.folds
-    after = [found.solution.without(folds.fitted(k)) for k in range(folds.count)]
-    start, band = [found.solution.start], problem.data.band
-    return traces(problem.data.samples, folds, start, after, band, reach=noise.reach)
+def check(found: Explanation, base: Solution) -> Checked:
+    """What models do that were fitted without each fold of the log, on that fold.
 
-
-def check(found: Explanation) -> Checked:
-    """Models fitted without each fold, or on all data where a log was held out, and what they
-    do."""
+    Args:
+        found: the explanation.
+        base: base parameters alone, fitted anew.
+    """
     problem, solution = found.problem, found.solution
-    data, folds, seed, band = problem.data, problem.folds, problem.settings.seed, problem.data.band
-    base = refitted(problem.given, data, problem.wanted)
+    data, folds = problem.data, problem.folds
+    fits = [folds.fitted(k) for k in range(folds.count)]
+    after, again = ([x.without(f) for f in fits] for x in (solution, base))
+    motions = problem.repeats.groups(len(data.segments)) if folds.whole else None
     noise = noise_of(problem, solution, found.least)
-    if problem.judged is None:
-        # Each fold is shown by models that were fitted on the others.
-        samples, parts = data.samples, folds
-        fits = [folds.fitted(k) for k in range(folds.count)]
-        after, again = ([x.without(f) for f in fits] for x in (solution, base))
-        motions = problem.repeats.groups(len(data.segments)) if folds.whole else None
-    else:
-        # The held-out log is shown by models that were fitted on all of the other log.
-        samples, parts = problem.judged.samples, None
-        after, again = [solution.model], [base.model]
-        count = len(samples.segments)
-        motions = tuple(range(count)) if count >= FEW else None
-    start = again if problem.fitted_first else [solution.start]
+    return _compared(found, data.samples, folds, (after, again), noise, motions)
+
+
+def check_held_out(found: Explanation, base: Solution, noise: Noise, judged: Data) -> Checked:
+    """What models that were fitted to all of a log do on another.
+
+    Args:
+        found, base: as of `check`.
+        noise: of the log that they were fitted to.
+        judged: the other one.
+    """
+    count, models = len(judged.segments), ([found.solution.model], [base.model])
+    motions = tuple(range(count)) if count >= FEW else None
+    return _compared(found, judged.samples, None, models, noise, motions)
+
+
+def _compared(
+    found: Explanation,
+    samples: Samples,
+    folds: Folds | None,
+    models: tuple[Sequence[Foretells], Sequence[Foretells]],
+    noise: Noise,
+    motions: Sequence[int] | None,
+) -> Checked:
+    """The explanation's models, and those of base parameters alone, beside the model as given."""
+    problem, (after, again) = found.problem, models
+    seed, band = problem.settings.seed, problem.data.band
+    start = again if problem.fitted_first else [found.solution.start]
     shown, other = (
-        traces(samples, parts, start, x, band, reach=noise.reach) for x in (after, again)
+        traces(samples, folds, start, x, band, reach=noise.reach) for x in (after, again)
     )
     # Whatever is noise is part of what is left: the same instants, the same band.
     noise = noise.at_most(torch.minimum(*levels(shown)))

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import torch
 
+from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.explain import Explained
@@ -129,8 +130,8 @@ class Claim:
     @property
     def branch_sure(self) -> float:
         """Probability that the cause is of this branch at this place, whichever it is."""
-        mine = branch_of(self.term)
-        alike = (p for t, p in self.others if branch_of(t) == mine and _near(t, self.term))
+        mine = kind_of(self.term).branch
+        alike = (p for t, p in self.others if kind_of(t).branch == mine and _near(t, self.term))
         return self.alone_sure + sum(alike)
 
     def as_known(self, value: float, std: float) -> "Claim":
@@ -213,9 +214,9 @@ def _name_beside(other: Term, term: Term) -> str:
     return f"{name} {other.joints[0] + 1}" if name == term.name and other.joints else name
 
 
-def branch_of(term: Term) -> str:
-    """The branch of the tree of causes that a term is on."""
-    return KINDS[LINK if term.name == BASE else term.name].branch
+def kind_of(term: Term) -> type[Effect]:
+    """The kind of effect that a term is; all bodies are links."""
+    return KINDS[LINK if term.name == BASE else term.name]
 
 
 def _near(one: Term, two: Term) -> bool:

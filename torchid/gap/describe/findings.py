@@ -14,7 +14,7 @@ from torchid.effects.base import Effect
 from torchid.gap.cause_records import body_cause, body_change, effect_cause, how_named
 from torchid.gap.causes.candidates import Term
 from torchid.gap.causes.search import same_columns
-from torchid.gap.describe.claims import Claim, at_an_end, branch_of, with_a_name
+from torchid.gap.describe.claims import Claim, at_an_end, kind_of, with_a_name
 from torchid.gap.describe.model import Explanation, Solution
 from torchid.gap.describe.replication import replication
 from torchid.gap.describe.shares import Shares
@@ -24,6 +24,7 @@ from torchid.results.cause import LINK, Cause, JudgedOn, Window
 from torchid.results.words import PAYLOAD, count
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
+from torchid.statistics.criteria import LIKELY
 from torchid.typing import Float, Tensor
 
 
@@ -54,13 +55,14 @@ class Taken:
     removes: Float[Tensor, "K n"]
 
     @classmethod
-    def of(cls, taken: Shares, far: HowFar) -> "Taken":
-        """Shares of the error before, of causes and of the bars."""
-        return cls(*taken.of_all(far.less), taken.of_bars(far.rms_before, far.rms_after))
+    def of(cls, taken: Shares, far: HowFar, shown: HowFar) -> "Taken":
+        """Shares of the error of a log's parts left out in turn, and of the bars that are shown, of
+        the held-out log where there is one."""
+        return cls(*taken.of_all(far.less), taken.of_bars(shown.rms_before, shown.rms_after))
 
 
 def describe_findings(
-    found: Explanation, claims: Sequence[Claim], taken: Taken, far: HowFar, corrected: Robot
+    found: Explanation, claims: Sequence[Claim], taken: Taken, corrected: Robot
 ) -> Findings:
     """Findings of an explanation, each with what it cannot be told from; of the causes that have a
     name.
@@ -69,10 +71,9 @@ def describe_findings(
         found: the explanation.
         claims: its causes.
         taken: what each takes of the error.
-        far: how far all of them close it together.
         corrected: the robot that is recommended.
     """
-    causes, undecided = [], []
+    causes, undecided, judged = [], [], found.problem.left_out
     named = with_a_name(claims, taken.shares)
     for k, one in enumerate(claims):
         if not named[k]:
@@ -86,7 +87,7 @@ def describe_findings(
             "alone": taken.alone[k],
             "removes": tuple(taken.removes[[k, *alike]].sum(0).tolist()),
             "when": one.judged.when or UNSET,
-            "judged": far.judged if one.asked_again else JudgedOn(on=far.judged.on, how="fitted"),
+            "judged": judged if one.asked_again else JudgedOn(on=judged.on, how="fitted"),
         }
         causes.append(_cause(found, k, one, corrected, own))
         separable = None if one.term.parametric else _separable(found, one)
@@ -103,10 +104,14 @@ def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[s
     alone = 0.0 if one.one_of_a_set or not one.named else sure
     narrow = one.curve or one.term.parametric
     wide = one.branch_sure if narrow else max(one.branch_sure, one.law_sure)
-    own |= how_named(branch_of(one.term), sure, alone, wide)
+    own |= how_named(kind_of(one.term).branch, sure, alone, wide)
+    # What to do is said of what is likely by itself; of a set what would tell its members apart.
+    if one.alone_sure < LIKELY:
+        own["remedy"] = f"To tell which it is, {kind_of(one.term).experiment}."
     if one.term.parametric:
         links = one.term.joints if one.term.name == LINK else ()
-        return body_cause(links, _change(found, links, corrected), **own)
+        own.setdefault("remedy", _change(found, links, corrected))
+        return body_cause(links, **own)
     part, values, std = solution.parts[at], solution.values[at], solution.std[at]
     effect, many = part.effects[0], len(part.effects) > 1
     return effect_cause(

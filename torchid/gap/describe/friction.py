@@ -119,7 +119,8 @@ class _Friction:
         judged = [self.decision.claims[k] for k in named]
         sure = [max(one.branch_sure, one.law_sure) for one in judged]
         nameless = [k for k in named if not told[k]]
-        removes = taken.of_bars(far.rms_before, far.rms_after)[named].sum(0)
+        shown = self.decision.final.far
+        removes = taken.of_bars(shown.rms_before, shown.rms_after)[named].sum(0)
         return FrictionLaw(
             joint=self.joint,
             how_sure=max(sure, default=None),

@@ -4,9 +4,8 @@ import torch
 
 from torchid.design.paths import same_paths
 from torchid.effects.registry import EVENTS
-from torchid.gap.describe.checked import Checked
+from torchid.gap.describe.checked import Checked, Decision
 from torchid.gap.describe.findings import Findings
-from torchid.gap.describe.model import Explanation
 from torchid.gap.diagnosis import UNLIKE, is_foreign
 from torchid.gap.problem import Problem
 from torchid.gap.record import Status
@@ -23,6 +22,7 @@ CHECK_FIRST = "Next time: check the log first"
 def status_of(
     said: Findings,
     checked: Checked,
+    final: Checked,
     least: Float[Tensor, " n"],
     unnamed: Float[Tensor, " n"],
     poor: bool,
@@ -37,7 +37,9 @@ def status_of(
 
     Args:
         said: what is told.
-        checked: on data that was not fitted.
+        checked: on parts of the log that were left out in turn.
+        final: on held-out data where there are some: an answer that does no good there explains
+            nothing.
         least: (n,) torque that is worth a name [N m; N].
         unnamed: (n,) mean squares that terms without a name take.
         poor: whether the log could not show most effects, or the model was too unsure of itself.
@@ -60,7 +62,8 @@ def status_of(
     # 0.25: predictable share of a joint's noise variance from which structure is worth saying
     structured = (noise.structure > 0.25) & (beyond > least)
     # Without a bound of the noise, what leaves most of the gap is no explanation of it.
-    little = not measured and far.closed is not None and far.closed < 1 - UNLIKE
+    closed = 1.0 if far.closed is None or not said.causes else far.closed
+    little = not measured and closed < 1 - UNLIKE
     # What has no name explains nothing.
     unexplained = little or bool((odd | clear | structured | (unnamed > least.square())).any())
     if not said.causes:
@@ -71,29 +74,31 @@ def status_of(
         if is_foreign(checked.shown):
             return "detected_unexplained"
         return "negligible" if small else "no_gap"
-    if unexplained or not (shown or (far.improves and far.closed is not None)):
+    helps = all(x.far.improves and x.far.closed is not None for x in (checked, final))
+    if unexplained or not (shown or helps):
         return "detected_unexplained"
     bodies = all(c.effect == LINK for c in said.causes)
     return "parametric_only" if bodies else "explained"
 
 
-def warnings_of(found: Explanation, checked: Checked, cost: Float[Tensor, " n"]) -> list[str]:
+def warnings_of(decision: Decision, cost: Float[Tensor, " n"]) -> list[str]:
     """What a user must know beside the findings.
 
     Args:
-        found, checked: what is answered.
+        decision: what is answered.
         cost: (n,) torque by which the recommended bodies differ from the fitted ones [N m; N].
     """
-    problem = found.problem
-    solution, settings, judged = found.solution, problem.settings, problem.judged
-    alien = checked.alien.nonzero().flatten().tolist()
+    found, checked, final = decision.found, decision.checked, decision.final
+    problem, solution = found.problem, found.solution
+    settings, judged = problem.settings, problem.judged
+    alien = (checked.alien | final.alien).nonzero().flatten().tolist()
     said = (
         f"{CHECK_FIRST} (`torchid log doctor ROBOT LOG`): the model explains "
         f"nothing of the torque of {joint_list(alien)}. Is it of this robot, its joints in this "
         "order, in these units?"
     )
     out = [said] if alien else []
-    out += [*problem.data.warnings, *checked.noise.floor.notes]
+    out += [*problem.data.warnings, *final.noise.floor.notes]
     out += [] if judged is None else judged.warnings
     if checked.noise.floor.source != "repeats":
         out.append(f"Next time: {_what_bounds_noise(problem)}")
@@ -124,7 +129,7 @@ def warnings_of(found: Explanation, checked: Checked, cost: Float[Tensor, " n"])
             "stretches of the same motions, and intervals are wider than they look."
         )
     # Joints on which the corrected model is worse.
-    worse = checked.far.rms_after > checked.far.rms_before
+    worse = final.far.rms_after > final.far.rms_before
     if found.terms and bool(worse.any()):
         joints = joint_list(worse.nonzero().flatten().tolist())
         out.append(

@@ -26,7 +26,7 @@ def cause_line(cause: Cause) -> tuple[str, str, str, str]:
     size = cause.in_words(cause.known[0]) if cause.known else ""
     size = size if cause.law is UNSET else cause.values()
     size += "" if cause.window is UNSET else f", {cause.window.words}"
-    rivals = f"could also be {others}" if cause.ambiguous_with else ""
+    rivals = f"could also be {others}" if cause.rivals else ""
     return name[:1].upper() + name[1:], size, how_sure, rivals
 
 
