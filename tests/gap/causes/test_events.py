@@ -154,11 +154,11 @@ def test_a_push_at_the_end_stands_out_from_windows_of_like_motion(quiet):
 
 @pytest.mark.parametrize("swings", [False, True])
 def test_a_push_is_worth_what_it_foretells_of_its_own_window(quiet, swings):
-    """A torque that swings about a third of its size has no force that holds a moment later."""
+    """A torque that swings about half of its size has no force that holds a moment later."""
     data = noisy(quiet, 2, None)
     one, two = data.segments
     t = two.motion.require("t", "a test")
-    size = 0.3 + torch.cos(4 * torch.pi * (t - PUSH.start) / (PUSH.stop - PUSH.start)).sign()
+    size = 0.5 + torch.sin(4 * torch.pi * (t - PUSH.start) / (PUSH.stop - PUSH.start)).sign()
     torque = PUSH.all_torques(two.motion, [1.0, 0.0, 2.0], ROBOT)
     two = replace(two, tau=two.tau + torque * (size.unsqueeze(1) if swings else 1.0))
     of = search_of(replace(data, samples=type(data.samples)([one, two], data.samples.cutoff)), ())
