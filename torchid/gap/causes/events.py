@@ -23,7 +23,7 @@ from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.windows import Span
-from torchid.statistics.autocorrelation import integrated_time
+from torchid.statistics.autocorrelation import correlation_instants, integrated_time
 from torchid.statistics.blocks import FEWEST_BLOCKS
 from torchid.statistics.criteria import SAME_FACTOR
 from torchid.statistics.resampling import LEVEL
@@ -247,21 +247,20 @@ def planes(library: Library, left: np.ndarray, weight: np.ndarray) -> list[Term]
     target = torch.from_numpy(left).T * heavy
 
     def gains(some: Sequence[PlaneContact]) -> list[float]:
-        """Squares that the push of each takes, in nats, as many samples being independent as tell
-        of it."""
+        """Squares that the push of each takes, in nats."""
         out = []
         for x in PlaneContact.columns_of(some, motion, robot):
             push = x[..., 0] * heavy
-            time = integrated_time(target.T, samples.bounds, along=push.T)
-            noise, pull = float((push.square() * time).sum()), float((push * target).sum())
-            out.append(0.5 * max(pull, 0.0) ** 2 / noise if noise > 0 else 0.0)
+            square, pull = float(push.square().sum()), float((push * target).sum())
+            out.append(0.5 * max(pull, 0.0) ** 2 / square if square > 0 else 0.0)
         return out
 
     tried = PlaneContact.near_ends(robot, [motion])
     if not tried:
         return []
-    # What chance does over all planes that are looked at.
-    least = 0.5 * float(chdtri(1, FALSE_PUSH / len(tried)))
+    # What chance does, of samples that are alike for a while, over all planes that are looked at.
+    slow = correlation_instants(torch.from_numpy(left).T, samples.bounds)
+    least = 0.5 * slow * float(chdtri(1, FALSE_PUSH / len(tried)))
     best: dict[str, tuple[float, PlaneContact]] = {}
     for plane, gain in zip(tried, gains(tried), strict=True):
         if gain > best.get(plane.side, (least, plane))[0]:
