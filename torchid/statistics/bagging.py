@@ -11,11 +11,14 @@ from dataclasses import dataclass
 import torch
 
 from torchid.statistics.blocks import block_sums
-from torchid.typing import Float, Int, Tensor
+from torchid.typing import Bool, Float, Int, Tensor
 
 DRAWS, DRAWN_SHARE = 40, 0.5
 """Logs that are drawn from the blocks of one, and how many blocks each has of those that there are
 [1]: half, as Huggins and Miller advise."""
+
+PARTED = 8
+"""Blocks of samples that are drawn among themselves [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +42,13 @@ class Draws:
         times = torch.zeros(DRAWS, count, dtype=torch.float64)
         return cls(block, times.scatter_add_(1, numbers, torch.ones_like(numbers).double()))
 
-    @property
-    def as_it_is(self) -> "Draws":
-        """The log itself, for what happened in one block of it: of others nothing can be asked."""
-        return Draws(self.block, torch.ones(1, self.times.shape[1], dtype=torch.float64))
+    def parting(self, some: Bool[Tensor, " N"], seed: int = 0) -> "Draws":
+        """The same logs, in which some samples (N,) are blocks of their own and drawn among
+        themselves: each log has as much of what happened in them alone."""
+        number = (some.cumsum(0) - 1) * PARTED // some.sum()
+        own = Draws.of(number[some], seed)
+        block = torch.where(some, self.times.shape[1] + number, self.block)
+        return Draws(block, torch.cat([self.times, own.times], 1))
 
     def sums(self, x: Float[Tensor, "n N"]) -> Float[Tensor, "M n"]:
         """Sums over each draw."""

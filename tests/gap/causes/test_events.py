@@ -132,6 +132,49 @@ def test_a_push_on_the_forearm_is_found_there():
         assert found.stop > 9.9
 
 
+def offered_by(data: Data) -> list[Contact]:
+    """Pushes that are offered beside the laws of each joint."""
+    of = search_of(data)
+    laws = [t for t in of.library.terms if t.name == "coulomb_friction"]
+    fit = of.evidence.fit(laws, of.library.rows)
+    some = pushes(of.library, of.evidence.left(fit), of.library.rows / fit.losses)
+    return [t.effect for t in some]
+
+
+def test_a_push_at_the_end_stands_out_from_windows_of_like_motion(quiet):
+    """What a law leaves, felt at every reversal, is none; 5 N beside it are."""
+
+    def wrong(data: Data) -> Data:
+        late = [replace(s, tau=s.tau + 0.5 * (s.motion.dq / 0.3).tanh()) for s in data.segments]
+        return replace(data, samples=type(data.samples)(late, data.samples.cutoff))
+
+    assert offered_by(wrong(noisy(quiet, 5, None))) == []
+    (found,) = offered_by(wrong(noisy(quiet, 5, None, [5.0, 0.0, 5.0])))
+    assert (found.start, found.stop) == pytest.approx((PUSH.start, PUSH.stop), abs=0.1)
+
+
+@pytest.mark.parametrize("swings", [False, True])
+def test_a_push_is_worth_what_it_foretells_of_its_own_window(quiet, swings):
+    """A torque that swings about half of its size has no force that holds a moment later."""
+    data = noisy(quiet, 2, None)
+    one, two = data.segments
+    t = two.motion.require("t", "a test")
+    size = 0.5 + torch.sin(4 * torch.pi * (t - PUSH.start) / (PUSH.stop - PUSH.start)).sign()
+    torque = PUSH.all_torques(two.motion, [1.0, 0.0, 2.0], ROBOT)
+    two = replace(two, tau=two.tau + torque * (size.unsqueeze(1) if swings else 1.0))
+    of = search_of(replace(data, samples=type(data.samples)([one, two], data.samples.cutoff)), ())
+    term = of.library.of_event(PUSH)
+    friction = [t for t in of.library.terms if t.name == "coulomb_friction"]
+    found = of.worthwhile(of.again(of.evidence.fit([*friction, term], of.library.rows)))
+    assert (term in found.fit.terms, term in found.small) == (not swings, swings)
+
+
+def test_a_push_is_longer_than_the_filters_answer(quiet):
+    of = search_of(noisy(quiet, 1, None))
+    assert of.library.of_event(Contact(3.0, 3.0 + 0.9 / 8.0)) is None
+    assert of.library.of_event(Contact(3.0, 3.0 + 1.1 / 8.0)) is not None
+
+
 def test_windows_lie_within_their_run(quiet):
     of = search_of(noisy(quiet, 4, None, [2.0, 0.0, 0.0]))
     (one, two) = quiet.segments

@@ -7,8 +7,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from tests.arms import consistent_parameters, mixed_arm
 from tests.gap.motions import ROBOT
-from tests.gap.problems import measured, motions
+from tests.gap.problems import measured, motions, problem_of, wanted_of
 from torchid.design.columns import Columns, Model
 from torchid.design.segments import Samples
 from torchid.effects.friction import CoulombFriction, ViscousFriction
@@ -16,6 +17,8 @@ from torchid.effects.gravity import TorqueGain
 from torchid.effects.inertia import Payload
 from torchid.effects.instants import shifted
 from torchid.effects.phase import FilterLag
+from torchid.effects.transient import Contact
+from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.scale import Scale
 from torchid.robot.inertia import InertialParameters
 from torchid.statistics.criteria import BEYOND_ROBOT
@@ -45,6 +48,21 @@ def test_a_limit_of_a_joint_is_its_torque() -> None:
     samples = measured([]).samples
     plain, own = (Scale(Columns(Model(r, ()), samples)).torque for r in (ROBOT, limited))
     assert own.tolist() == [max(40.0, float(plain[0])), *plain[1:].tolist()]
+
+
+def test_a_force_is_one_that_the_arm_can_make_in_either_direction() -> None:
+    """Its largest torque over its reach; a joint that slides needs no lever."""
+    columns = Columns(Model(ROBOT, ()), measured([]).samples)
+    scale = Scale(columns)
+    most = BEYOND_ROBOT * float(scale.torque.max()) / scale.length
+    assert scale.largest([Contact()]).tolist() == pytest.approx([most] * 3)
+    push = Library(problem_of(measured([]), wanted_of(("contact",)))).of_event(Contact(2.0, 3.0))
+    assert push is not None
+    assert (-push.low).tolist() == push.high.tolist() == pytest.approx([most] * 3)
+    gantry = mixed_arm("PPP").with_parameters(consistent_parameters(3, seed=1))
+    sliding = Scale(Columns(Model(gantry, ()), columns.samples))
+    most = BEYOND_ROBOT * float(sliding.torque.max())
+    assert sliding.largest([Contact()]).tolist() == pytest.approx([most] * 3)
 
 
 @pytest.mark.parametrize("scale", [0.4, 1.6, 2.0, 5.0])

@@ -45,6 +45,16 @@ def claim(sure: float, law: float = 0.0, rivals: tuple[float, ...] = (), **more:
     return Claim(Judged(one, one, sure, sure, nothing, tuple(members), law), torch.ones(3), **more)
 
 
+@pytest.mark.parametrize(
+    ("rare", "force", "std", "named"),
+    [(True, 89.0, 219.0, False), (True, -89.0, 20.0, True), (False, 0.1, 0.2, True)],
+)
+def test_a_push_that_may_as_well_not_be_has_no_name(rare, force, std, named):
+    one = claim(0.99)
+    one.judged.term.rare = rare
+    assert one.as_known(force, std).named == named
+
+
 def test_of_a_law_whose_terms_are_unsure_the_largest_has_the_name():
     law = [claim(0.3, 0.99), claim(0.4, 0.99), claim(0.2)]
     assert with_a_name(law, [0.1, 0.5, 0.4]) == [False, True, False]

@@ -273,13 +273,16 @@ class Library:
     # ------------------------------------------------------------------ one candidate
 
     def term(self, effect: Effect, place: Place, columns: np.ndarray, **more: Any) -> Term | None:
-        """An effect as a candidate; None of one that makes no torque in this log."""
+        """An effect as a candidate; None of one that makes no torque in this log, or in a window
+        too short to tell."""
+        if effect.span is not None and np.subtract(*effect.span) > -self.windows.shortest:
+            return None
         known = np.zeros(len(effect.coefficients))
         for other, values in self.problem.given.model.effects:
             if other == effect:
                 known = known + np.array(values)
-        low, _ = (np.array(v) for v in zip(*effect.ranges, strict=True))
         high = self.scale.largest([effect]).numpy()
+        low = np.maximum([least for least, _ in effect.ranges], -high)
         std = high / 2
         if effect.scale_of_torque and self.data.gain_said and self.problem.wanted.knowledge is None:
             std = np.full(len(known), self.data.gain_std)

@@ -2,9 +2,9 @@
 what is left; and planes that the tool presses into.
 
 Beside a fit each window's force that fits best has its evidence, from differences of running sums.
-A push on a link must stand out from the other windows of a log. What is there again when the motion
-is repeated is no event, whatever it is. The windows that were looked at are the price of one: the
-search decides which stay.
+A push must stand out from the other windows in which the arm moves alike. What is there again when
+the motion is repeated is no event, whatever it is. The windows that were looked at are the price of
+one: the search decides which stay.
 """
 
 import itertools
@@ -23,8 +23,9 @@ from torchid.effects.surroundings import PlaneContact
 from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.windows import Span
-from torchid.statistics.autocorrelation import correlation_instants
+from torchid.statistics.autocorrelation import correlation_instants, integrated_time
 from torchid.statistics.blocks import FEWEST_BLOCKS
+from torchid.statistics.criteria import SAME_FACTOR
 from torchid.statistics.resampling import LEVEL
 
 PUSHES = 3
@@ -85,10 +86,9 @@ class _Force:
         again: Sequence[torch.Tensor],
     ):
         self.place, self.bounds = place, library.samples.bounds
+        self.least = math.ceil(library.windows.shortest / library.samples.interval)
         pull = library.columns.on_all_joints(place).numpy() * library.keep
-        size = np.sqrt((pull**2).mean(2))
-        std = 0.5 * (library.torque / np.maximum(size, 1e-9)).min(1)
-        pull = pull * std[:, None, None]
+        pull = pull * (0.5 * library.scale.largest([place]).numpy())[:, None, None]
         self.own = _Sums.of(pull, left, weight)
         self.again = [
             _Sums.of(pull * (at >= 0), left[:, at.clip(min=0)], weight)
@@ -96,17 +96,18 @@ class _Force:
         ]
 
     def gains(self, spans: np.ndarray) -> np.ndarray:
-        """Evidence (W,) of the force that fits best in each window [nats]; none of one that is felt
-        when the motion is there again."""
+        """Evidence of the force that fits best in each window, and how much it is felt there, its
+        likelihood, (2, W) [nats]; none of one that is felt when the motion is there again."""
         squares, right = self.own.over(spans)
         a = squares + np.eye(squares.shape[1])
         force = np.linalg.solve(a, right[..., None])[..., 0]
-        out = 0.5 * ((right * force).sum(1) - np.linalg.slogdet(a)[1])
+        out = np.tile(0.5 * (right * force).sum(1), (2, 1))
+        out[0] -= 0.5 * np.linalg.slogdet(a)[1]
         for sums in self.again:
             squares, right = sums.over(spans)
             expected = np.einsum("wa,wab,wb->w", force, squares, force)
             felt = (right * force).sum(1)
-            out[(felt >= AGAIN * expected) & (expected > 0)] = -np.inf
+            out[:, (felt >= AGAIN * expected) & (expected > 0)] = -np.inf
         return out
 
     def extent(self, window: Span) -> Span:
@@ -117,8 +118,8 @@ class _Force:
         while step:
             moves = itertools.product((-step, 0, step), repeat=2)
             ends = [(first + a, last + b) for a, b in moves]
-            ends = [e for e in ends if run.start <= e[0] and e[0] + 3 <= e[1] < run.stop]
-            best = ends[int(self.gains(np.array(ends)).argmax())] if ends else (first, last)
+            ends = [e for e in ends if run.start <= e[0] and e[0] + self.least <= e[1] < run.stop]
+            best = ends[int(self.gains(np.array(ends))[0].argmax())] if ends else (first, last)
             if best == (first, last):
                 step //= 2
             first, last = best
@@ -142,23 +143,40 @@ def pushes(library: Library, left: np.ndarray, weight: np.ndarray) -> list[Term]
     kinds = [[_Force(library, place, left, weight, again) for place in some]
              for some in (ends, Contact.links(robot)) if some]  # fmt: skip
     t, half, out = library.samples.t.numpy(), 0.5 * library.samples.interval, list[Term]()
-    slow = correlation_instants(torch.from_numpy(left).T, library.samples.bounds)
+    sizes = np.unique(spans[:, 1] - spans[:, 0])
+    speed = _speeds(library, spans)
     for some in kinds:
-        gains = np.array([force.gains(spans) for force in some])
-        best, which = gains.max(0), gains.argmax(0)
-        found = _apart(best, spans)
+        gains, felt = np.stack([force.gains(spans) for force in some], 1)
+        which, best = gains.argmax(0), felt.max(0)
+        found = _apart(gains.max(0), spans)
         # How long the pushes may be: none of their windows are of the usual ones.
         extents = [some[which[k]].extent((int(spans[k, 0]), int(spans[k, 1]))) for k in found]
+        # For how long what is left is felt as the same force: of the shortest windows, which lie a
+        # quarter of their length apart; of no window a zero.
+        short = (spans[:, 1] - spans[:, 0] == sizes[0]) & _clear(spans, extents)
+        series = torch.from_numpy(np.append(0.0, np.maximum(best[short], 0.0)))
+        slow = max(1, sizes[0] // 4) * float(integrated_time(series))
+        # Windows overlap: as many are looked at as are independent, of each length.
+        looks = (windows.asked.sum() / np.maximum(sizes, slow)).sum()
         for k, (first, last) in zip(found, extents, strict=True):
-            # Of many links some are always felt like what a law leaves.
-            chance = _chance(best, spans, (first, last), extents, slow) * windows.count * len(some)
-            if some[0].place.along is not None and chance > FALSE_PUSH:
-                continue
+            # Some forces are always felt like what a law leaves, the more the faster the arm moves.
+            like = (speed <= SAME_FACTOR * speed[k]) & (speed[k] <= SAME_FACTOR * speed)
+            like = like if like.sum() >= FEWEST_BLOCKS * len(sizes) else np.ones_like(like)
+            chance = _chance(best[like], spans[like], (first, last), extents, slow)
             begin, end = float(t[first]) - half, float(t[last - 1]) + half
             term = library.of_event(replace(some[which[k]].place, start=begin, stop=end))
-            if term is not None:
+            if term is not None and chance * looks <= FALSE_PUSH:
                 out.append(replace(term, shapes=windows.count * len(some)))
     return out
+
+
+def _speeds(library: Library, spans: np.ndarray) -> np.ndarray:
+    """RMS speed (W,) of the joints in windows (W, 2), each in units of its own over the log."""
+    squares = library.samples.of([m.dq.T for m in library.columns.motions]).square()
+    own = (squares / squares.mean(1, keepdim=True).clamp(min=1e-300)).mean(0)
+    sums = np.append(0.0, own.cumsum(0).numpy())
+    first, last = spans.T
+    return np.sqrt((sums[last] - sums[first]) / (last - first))
 
 
 def _apart(gains: np.ndarray, spans: np.ndarray) -> list[int]:
@@ -169,6 +187,15 @@ def _apart(gains: np.ndarray, spans: np.ndarray) -> list[int]:
             break
         if all(spans[k, 1] <= spans[o, 0] or spans[k, 0] >= spans[o, 1] for o in out):
             out.append(k)
+    return out
+
+
+def _clear(spans: np.ndarray, extents: Sequence[Span]) -> np.ndarray:
+    """Which windows (W, 2) are apart from all pushes, by half of their own length."""
+    (first, last), out = spans.T, np.ones(len(spans), bool)
+    half = (last - first) // 2
+    for a, b in extents:
+        out &= (first >= b + half) | (last <= a - half)
     return out
 
 
@@ -185,15 +212,13 @@ def _chance(
         spans: (W, 2) windows.
         push: whose chance it is.
         extents: of all pushes.
-        slow: samples of what is left that are alike.
+        slow: samples over which gains are alike.
     """
     first, last = spans.T
-    length, out = last - first, 1.0
+    length, out, clear = last - first, 1.0, _clear(spans, extents)
     for size in np.unique(length):
-        usual = length == size
-        own = gains[usual & (first < push[1]) & (last > push[0])]
-        for a, b in extents:
-            usual &= (first >= b + size // 2) | (last <= a - size // 2)
+        own = gains[(length == size) & (first < push[1]) & (last > push[0])]
+        usual = (length == size) & clear
         if usual.sum() < FEWEST_BLOCKS or not len(own):
             continue
         # Where a force is there again there is no push, and the gain is -inf: it counts as none.

@@ -18,7 +18,7 @@ from torchid.effects.periodic import Cogging
 from torchid.effects.spring import JointSpring
 from torchid.gap.causes.candidates import Term, excluding
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.search import ONE_BODY, STEP, Search, same_columns
+from torchid.gap.causes.search import ONE_BODY, STEP, Search, every_other, same_columns
 from torchid.results.cause import When
 from torchid.statistics.bagging import Draws
 from torchid.statistics.criteria import LIKELY, SET_MASS, WRONG_FILE
@@ -140,8 +140,10 @@ def judged(
         if alone > both + STEP:
             rivals.append((u, f))
             beside.append(both)
-    # A log drawn without the block in which it happened would say that it is not there.
-    asked = draws.as_it_is if term.rare else draws
+    asked = draws
+    if term.rare:
+        # A log drawn without the block in which it happened would say that it is not there.
+        asked = draws.parting(torch.from_numpy(search.acting(fit, term)))
     masses = probabilities(search, fit, [base, *(f for _, f in rivals)], asked, beside)
     own, nothing, *others_sure = masses
     for k, (u, f) in enumerate(rivals):
@@ -175,7 +177,7 @@ def judged(
     fall = np.maximum(base.losses - fit.losses, 0.0) / library.rows
     if term.rare:
         # What happened once, or at an end of the travel, is judged where it acts.
-        left = np.full_like(left, _left_where_it_acts(search, fit, base))
+        left = np.full_like(left, _left_where_it_acts(search, fit, term))
     # How much each joint tells of it, and what all that is left could make there: no cause is surer
     # than what is left allows (`most_sure`).
     told = fit.samples * np.log(np.maximum(base.losses / fit.losses, 1.0))
@@ -195,16 +197,15 @@ def is_near(one: Term, other: Term) -> bool:
     return one.joints == other.joints or same_columns(one, other)
 
 
-def _left_where_it_acts(search: Search, fit: Fit, without: Fit) -> float:
-    """Share of the squares that is left of a gap where a term acts, each joint in units of what is
-    left of it."""
-    after, before = search.evidence.left(fit), search.evidence.left(without)
+def _left_where_it_acts(search: Search, fit: Fit, term: Term) -> float:
+    """Share of the squares that is left of a gap where a term acts, beside half of these samples
+    that it was not fitted on; each joint in units of what is left of it."""
+    part = every_other(search.acting(fit, term))
+    after, before = (search.left_out(fit, part, gone) ** 2 for gone in (None, term))
     # A joint with little noise tells as much as one with a large torque.
-    unit = np.sqrt(fit.losses)[:, None]
-    acts = search.acting(fit, without)
-    noise = (fit.losses / search.library.rows)[:, None] / unit**2
-    a, b = ((x[:, acts] / unit) ** 2 - noise for x in (after, before))
-    return float(np.clip(a.sum() / max(b.sum(), 1e-300), 0.0, 1.0))
+    unit, noise = fit.losses, fit.losses / search.library.rows
+    a, b = (((x - noise) / unit).sum() for x in (after, before))
+    return float(np.clip(a / max(b, 1e-300), 0.0, 1.0))
 
 
 def probabilities(

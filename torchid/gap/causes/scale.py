@@ -9,6 +9,7 @@ from torchid.design.columns import Columns
 from torchid.design.motion import velocity_lag
 from torchid.effects.base import Effect
 from torchid.effects.parameters import QUANTILE_OF
+from torchid.robot.model import JointType
 from torchid.robot.shapes import reach
 from torchid.statistics.criteria import BEYOND_ROBOT
 from torchid.typing import Float, Tensor
@@ -33,6 +34,9 @@ class Scale:
         most = torch.zeros_like(tau) if limit is None else limit.to(tau).abs().amax(-1)
         self.torque = torch.maximum(tau, most.nan_to_num(0.0, 0.0))
         self.length = reach(robot)
+        # At the arm's end a joint that slides makes its own force, one that turns needs its lever.
+        slides = torch.tensor([kind is JointType.PRISMATIC for kind in robot.joint_types])
+        self.force = float(torch.where(slides, self.torque, self.torque / self.length).max())
         # A file whose masses are far too small still has joints that carry them.
         carried = float(self.torque.max()) / (GRAVITY * self.length)
         masses = robot.require_parameters("a scale").mass[list(robot.bodies)]
@@ -75,5 +79,6 @@ class Scale:
             self._kept[joints] = {
                 "kg": mass, "kg m": mass * length, "kg m^2": inertia, "m": length,
                 "N m": float(torque.max()), "N m s/rad": float((torque / self.speed[own]).max()),
+                "N": self.force,
             }  # fmt: skip
         return self._kept[joints]

@@ -67,12 +67,23 @@ WOVEN = 5
 """Parts that a log is woven of when the worth of a cause is asked, each a fifth of its blocks: what
 drifts over a log is in all of them."""
 
+OWN_BLOCKS = 4
+"""Blocks of the samples in which a cause acts that acts at times only; every other one is left out
+together [1]."""
+
 
 def same_columns(one: Term, other: Term) -> bool:
     """Whether two terms have the same columns."""
     if one.place != other.place or one.columns.shape != other.columns.shape:
         return False
     return bool(np.array_equal(one.columns, other.columns))
+
+
+def every_other(acts: np.ndarray) -> np.ndarray:
+    """0 and 1 (N,) in turn, block by block, of the samples in which a cause acts; else below
+    zero."""
+    number = (acts.cumsum() - 1) * OWN_BLOCKS // max(acts.sum(), 1)
+    return np.where(acts, number % 2, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,22 +446,15 @@ class Search:
 
     def left_out(self, fit: Fit, part: np.ndarray, gone: Term | None = None) -> np.ndarray:
         """RMS (n,) that an explanation, or that without a term, leaves on parts of the log that it
-        is not fitted on. What happened once cannot be foreseen, and keeps its coefficients.
+        is not fitted on.
 
         Args:
             part: (N,) number of each sample's part; below zero of those that are always fitted.
         """
         evidence = self.evidence
-        pairs = [(t, x) for t, x in zip(fit.terms, fit.values(), strict=True) if t is not gone]
-        once = [(t, x) for t, x in pairs if t.effect is not None and t.effect.event]
-        every = [*evidence.nuisance, *(t for t, _ in pairs if all(t is not o for o, _ in once))]
-        gap = evidence.gap
-        if once:
-            gap = gap - np.tensordot(
-                np.concatenate([x for _, x in once]), evidence.columns([t for t, _ in once]), (0, 1)
-            )
+        every = [*evidence.nuisance, *excluding(fit.terms, [] if gone is None else [gone])]
         _, spread, middle, *_ = evidence.slabs(every)
-        full = np.concatenate([spread.T @ evidence.columns(every), gap[:, None]], 1)
+        full = np.concatenate([spread.T @ evidence.columns(every), evidence.gap[:, None]], 1)
         parts = {}
         for p in np.unique(part):
             some = full[:, :, part == p]
@@ -463,6 +467,16 @@ class Search:
         rows = np.maximum(self.library.keep[:, part >= 0].sum(1), 1.0)
         return np.sqrt(np.maximum(out, 1e-300) / rows)
 
+    def shared(self, fit: Fit, part: np.ndarray) -> np.ndarray:
+        """Parts (N,) of which two share what acts at times only, every other block of the samples
+        in which it acts: what happened in one part alone no other part could foresee."""
+        part = part.copy()
+        two = np.unique(part[part >= 0])[:2]
+        for term in (t for t in fit.terms if t.rare):
+            own = every_other(self.acting(fit, term) & (part >= 0))
+            part[own >= 0] = two[own[own >= 0]]
+        return part
+
     def worthwhile(self, fit: Fit) -> Found:
         """Without what lowers no joint's error by as much as is worth a name on data that was not
         fitted; the least worthy leaves first."""
@@ -472,7 +486,8 @@ class Search:
         woven = part.numpy() % WOVEN
         small: list[Term] = []
         while fit.terms:
-            parts = {t.since: self.library.judged(t, woven) for t in fit.terms}
+            own = self.shared(fit, woven)
+            parts = {t.since: self.library.judged(t, own) for t in fit.terms}
             whole = {since: self.left_out(fit, part) for since, part in parts.items()}
             worth = [
                 # What another sensor shows is there, however little of it the fit's torque has.
@@ -496,7 +511,7 @@ class Search:
     def _share(self, fit: Fit, term: Term) -> float:
         """Share of the samples in which a term acts: of what happens once, or at an end of the
         travel; else all of them."""
-        return float(self.acting(fit, self.without(fit, term)).mean()) if term.rare else 1.0
+        return float(self.acting(fit, term).mean()) if term.rare else 1.0
 
     def _displaced(self, fit: Fit, term: Term) -> float:
         """Torque that without a term the model's own corrections make in its place, over what is
@@ -541,8 +556,10 @@ class Search:
         """
         return float(((before - after) / self.least(before, share)).max())
 
-    def acting(self, fit: Fit, without: Fit) -> np.ndarray:
-        """Samples (N,) in which the torque of two explanations differs by a tenth of the most that
-        it does, or more."""
-        apart = np.abs(self.evidence.left(without) - self.evidence.left(fit)).max(0)
-        return apart > ACTS * apart.max()
+    def acting(self, fit: Fit, term: Term) -> np.ndarray:
+        """Samples (N,) in which a term of an explanation makes a tenth of its largest torque, or
+        more."""
+        (x,) = (x for t, x in zip(fit.terms, fit.values(), strict=True) if t is term)
+        torque = np.abs(np.tensordot(x, term.columns, 1))
+        most = torque if term.place is not None else torque.max(0)
+        return most > ACTS * most.max()

@@ -6,7 +6,7 @@ import numpy as np
 
 from torchid.design.segments import Samples
 from torchid.effects.base import Effect
-from torchid.effects.transient import Contact
+from torchid.effects.transient import RAMP, Contact
 
 WINDOWS_S = (0.4, 0.8, 1.5, 3.0)
 """Lengths of windows in which a push is looked for [s]."""
@@ -26,6 +26,12 @@ class Windows:
     def __init__(self, samples: Samples, asked: np.ndarray):
         self.samples, self.asked = samples, asked
         self._found: list[tuple[object, float, float]] = []
+
+    @cached_property
+    def shortest(self) -> float:
+        """Length of the shortest push [s]: of the filter's answer, within which every blip looks
+        the same, and as long as a force takes to come and go."""
+        return max(1 / self.samples.cutoff, 2 * RAMP)
 
     @cached_property
     def spans(self) -> np.ndarray:

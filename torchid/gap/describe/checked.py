@@ -97,6 +97,7 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
     replaced = any(t.name == BASE for t in found.terms) and worse_than_none(checked.shown)
     shrinks = checked.far.shrinks * (not (replaced or bool(checked.alien.any())))
     told, dropped, taken_back = [one.beside(shrinks) for one in claims], None, False
+    told = [one.as_known(*found.solution.largest(one.term)) for one in told]
     least = found.least
     if unsure(told):
         dropped, taken_back = (found, tuple(told)), not all(one.unnamed for one in claims)

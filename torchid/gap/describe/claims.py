@@ -134,6 +134,11 @@ class Claim:
         alike = (p for t, p in self.others if kind_of(t).branch == mine and _near(t, self.term))
         return self.alone_sure + sum(alike)
 
+    def as_known(self, value: float, std: float) -> "Claim":
+        """This claim, its largest coefficient being known to a standard deviation: what acts at
+        times only, and may as well not, is not confirmed."""
+        return replace(self, confirmed=0.0) if self.term.rare and abs(value) < std else self
+
     def beside(self, shrinks: Float[Tensor, " n"]) -> "Claim":
         """This claim beside data that were not fitted.
 
