@@ -80,10 +80,10 @@ def test_what_one_window_alone_says_is_less_sure_than_what_all_say():
     alone[3] = after[3] + (every - after).sum(0)
     both = [of.sure(ZONE, 1, before, after, 1) for before in (every, alone)]
     assert both[0] > both[1] + 0.1
-    # What acts at an end of the travel is asked of the log as it is.
+    # What acts at an end of the travel is in each log that is drawn.
     stop = BY_NAME["end_stop"]
     of_stop = [of.sure(stop, 1, before, after, 1) for before in (every, alone)]
-    assert of_stop[0] == pytest.approx(of_stop[1], abs=1e-6)
+    assert of_stop[0] == pytest.approx(of_stop[1], abs=1e-3)
 
 
 def test_numbers_of_a_servo_cost_what_the_log_knows_of_them():

@@ -141,9 +141,12 @@ class Evidence:
         rows = windows.length * windows.weight
         floor, left = floor * rows.sum(), after.sum(0)
         samples = samples_of(self.motions, floor, left, alike)
-        # What acts at the ends of the travel alone is asked of the log as it is.
         draws = Draws.of(torch.arange(len(rows)))
-        draws = draws.as_it_is if effect.family == "world" else draws
+        if effect.family == "world":
+            # What acts at the ends of the travel alone is in each log that is drawn.
+            gain = (before - after).sum(1)
+            # 0.1: of the most that a window gains, from which it acts there
+            draws = draws.parting(gain >= torch.minimum(0.1 * gain.max(), gain.max()))
         share = draws.sums(rows[None])[:, 0] / rows.sum()
         drawn = [draws.sums(x.T) + floor * share[:, None] for x in (before, after)]
         told = (drawn[0].clamp(min=1e-300) / drawn[1].clamp(min=1e-300)).log()
