@@ -154,6 +154,18 @@ def test_columns_are_made_anew_for_bodies_before_causes_are_exchanged(monkeypatc
     assert WITH_BODIES not in stages
 
 
+def test_several_simple_causes_take_the_place_of_many_numbers() -> None:
+    """Ten numbers of a link make a little of each; no exchange of one for one leads away."""
+    planted = [PLANTED["coulomb_friction"], PLANTED["torque_offset"]]
+    wanted = wanted_of((*NAMES, "link_inertia"), inertial=True)
+    of = Search(Library(problem_of(measured(planted), wanted)))
+    link = max((t for t in of.library.terms if t.name == "link_inertia"), key=lambda t: t.joints)
+    then = of.simpler(of.again(of.evidence.fit((link,), of.library.rows)))
+    assert {(t.name, t.joints) for t in then.terms} == {(e.name, e.joints) for e, _ in planted}
+    assert link.key not in of.impossible
+    assert of.simpler(then) is then
+
+
 def test_what_is_likely_by_itself_takes_the_place_of_what_is_not() -> None:
     """A number stands beside the name that it is of, and so does a probability."""
     of = search("viscous_friction")

@@ -190,7 +190,21 @@ class Search:
             # Nothing joined or left: another round would try the same.
             if {t.key for t in fit.terms} == before:
                 break
-        return self.worthwhile(self.as_loads(self.shrink(fit)))
+        return self.worthwhile(self.as_loads(self.simpler(self.shrink(fit))))
+
+    def simpler(self, fit: Fit) -> Fit:
+        """Without the most numbers that turn bodies or frames, where other causes are likelier in
+        their place: they also make a little of what several simple causes do, none of which alone
+        is likelier there."""
+        many = [t for t in fit.terms if t.inertial or (t.effect and t.effect.of_bodies)]
+        if not many or not self.pace.has_time("simpler causes"):
+            return fit
+        most, there = max(many, key=lambda t: t.count), self.impossible
+        self.impossible = there | {t.key for t in self.library.terms if t.cause == most.cause}
+        then = self.refine(self.swap(self.grow(self.again(self.without(fit, most)))))
+        self.impossible = there
+        better = then.allowed and self._rise(then, fit) > STEP
+        return self.shrink(self._take(then)) if better else fit
 
     def possible(self, fit: Fit) -> Fit:
         """Without terms that are as much as no arm has, which do not come back: on its way a search
