@@ -232,7 +232,7 @@ def test_bad_input(found: GapRecord, bad: dict[str, object], words: str) -> None
 
 @pytest.mark.slow
 def test_ranges_hold_what_was_planted() -> None:
-    """As the benchmark `randomise` does a hundred times; here five, of friction on all joints."""
+    """Of five arms with friction on all joints."""
     held = 0
     for seed in range(5):
         g = torch.Generator().manual_seed(seed)
