@@ -57,7 +57,6 @@ _PUBLIC = PUBLIC | {
     "excite_for": "torchid.next_motion.design",
     "load": "torchid.results.files",
     "draw": "torchid.report.plots",
-    "write_view": "torchid.report.view",
     "TorchidError": "torchid.errors",
 }
 

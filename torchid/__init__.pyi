@@ -36,7 +36,6 @@ from torchid.pair.pair import compare_pair as compare_pair
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.replay import replay as replay
 from torchid.report.plots import draw as draw
-from torchid.report.view import write_view as write_view
 from torchid.results.answer import Diagnosis as Diagnosis
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters
