@@ -24,7 +24,6 @@ from torchid.feasibility.sets import read_sets as read_sets
 from torchid.fleet.compare import compare_results as compare_results
 from torchid.gap.diagnose import diagnose as diagnose
 from torchid.gap.settings import GapSettings as GapSettings
-from torchid.identification.estimator import DynamicsRegressor as DynamicsRegressor
 from torchid.identification.identify import identify as identify
 from torchid.identification.payload import payload as payload
 from torchid.identification.settings import Settings as Settings
