@@ -37,6 +37,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.gap.calibration/1": "torchid.withheld.planted:CalibrationRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
+AGAIN = "run the command that wrote it again, with this version"
 
 
 class _Head(msgspec.Struct):
@@ -94,7 +95,7 @@ def read(
             f"'{path}' is not {what}.", got=f"schema {kind}", available=_schemas(kinds), hint=hint
         )
     record: type[Record] = other_packages.loaded(RECORDS[kind])
-    return parsed(contents(path, what, hint), record, path, what, hint)
+    return parsed(contents(path, what, hint), record, path, what, hint or AGAIN)
 
 
 def require_result(path: Path, what: str = "a result", hint: str | None = None) -> str:
@@ -103,7 +104,7 @@ def require_result(path: Path, what: str = "a result", hint: str | None = None) 
     Raises:
         TorchidError: no such file, no result, or one of another version.
     """
-    again = hint or "run the command that wrote it again, with this version"
+    again = hint or AGAIN
     if hint is None:
         hint = "a result is the JSON that a command writes, or that `save` of a result does"
         if path.suffix.lower() in ROBOT_FILES:
