@@ -31,7 +31,6 @@ _PUBLIC = PUBLIC | {
     "PaperNoise": "torchid.excitation.synthetic",
     "identify": "torchid.identification.identify",
     "Settings": "torchid.identification.settings",
-    "DynamicsRegressor": "torchid.identification.estimator",
     "payload": "torchid.identification.payload",
     "problem_of": "torchid.extraction.from_identification",
     "extract": "torchid.extraction.extract",
@@ -57,7 +56,6 @@ _PUBLIC = PUBLIC | {
     "excite_for": "torchid.next_motion.design",
     "load": "torchid.results.files",
     "draw": "torchid.report.plots",
-    "write_view": "torchid.report.view",
     "TorchidError": "torchid.errors",
 }
 

@@ -24,7 +24,6 @@ from torchid.feasibility.sets import read_sets as read_sets
 from torchid.fleet.compare import compare_results as compare_results
 from torchid.gap.diagnose import diagnose as diagnose
 from torchid.gap.settings import GapSettings as GapSettings
-from torchid.identification.estimator import DynamicsRegressor as DynamicsRegressor
 from torchid.identification.identify import identify as identify
 from torchid.identification.payload import payload as payload
 from torchid.identification.settings import Settings as Settings
@@ -36,7 +35,6 @@ from torchid.pair.pair import compare_pair as compare_pair
 from torchid.position.model import ServoArm as ServoArm
 from torchid.position.replay import replay as replay
 from torchid.report.plots import draw as draw
-from torchid.report.view import write_view as write_view
 from torchid.results.answer import Diagnosis as Diagnosis
 from torchid.results.files import load as load
 from torchid.robot.inertia import InertialParameters as InertialParameters

@@ -30,7 +30,6 @@ from torchid.simulation.sensors import Sensors, measured_log
         (("--gain", "1,2"), ("--gain", "3")),
         (("--save-model", "nowhere/robot.yaml"), ("--save-model", "folder")),
         (("--json", "nowhere/gap.json"), ("nowhere",)),
-        (("--view", "gap.bag"), ("FILE.mcap",)),
         (("--save-model", "corrected.txt"), ("--save-model", "corrected.txt", ".yaml")),
         (("--columns", ""), ("--columns", "nothing")),
         (("--topic", " "), ("--topic", "nothing")),
@@ -352,17 +351,3 @@ def test_a_log_without_torque_is_no_bed_for_causes(tmp_path, command, commanded,
 def test_time_is_kept_for_what_is_written(asked, writing):
     left = _Asked(time=60.0).seconds(Output(**asked))
     assert left == pytest.approx(60.0 - writing, abs=0.2)
-
-
-@pytest.mark.slow
-def test_a_view_for_a_viewer(command, folder, tmp_path):
-    reader = pytest.importorskip("mcap.reader")
-    effects = "viscous_friction,coulomb_friction"
-    options = ("--effects", effects, "--view", tmp_path / "gap.mcap")
-    done = command("gap", "3r", folder / "check.csv", *options)
-    assert done.code == 0, done.err
-    assert "gap.mcap" in done.out
-    with (tmp_path / "gap.mcap").open("rb") as stream:
-        summary = reader.make_reader(stream).get_summary()
-    topics = sorted(channel.topic for channel in summary.channels.values())
-    assert [topic.split("/")[-1] for topic in topics] == ["joint_1", "joint_2", "joint_3"]

@@ -66,7 +66,7 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster]:
 
 @pytest.mark.nightly
 def test_a_scheduler_that_comes_back_goes_on(cluster: Cluster, tmp_path: Path) -> None:
-    killed = []
+    killed: list[int] = []
 
     def kill_once(stage: str, done: int, total: int) -> None:
         if done == 2 and not killed:

@@ -12,7 +12,8 @@ from tests.arms import arm
 from tests.fleet.records import identification
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.gap.record import GapRecord
-from torchid.results.files import RECORDS
+from torchid.report.explain import report_of_file
+from torchid.results.files import RECORDS, require_result
 
 
 def test_every_schema_has_a_record() -> None:
@@ -98,11 +99,10 @@ def test_the_next_motion_of_an_identification(tmp_path: Path) -> None:
         ('{"schema": 3}', r"\$\.schema"),
         ('{"schema": "torchid.gap/2"}', "not a result"),
         ('{"schema": "torchid.wrenches/1"}', "not a result"),
-        ('{"schema": "torchid.gap/1"}', "field `robot`"),
-        ('{"schema": "torchid.gap/1", "robot": "x", "status": "fine"}', r"\$\.status"),
+        ('{"schema": "torchid.gap/2", "robot": "x", "status": "fine"}', r"\$\.status"),
         ("[" * 100000, "Expected `object`"),
-        ('{"schema": "torchid.gap/1", "x": ' + "[" * 100000, "not JSON"),
-        ('{"schema": "torchid.gap/1", "robot": ' + "9" * 5000 + "}", r"(?s)not .*"),
+        ('{"schema": "torchid.gap/2", "x": ' + "[" * 100000, "not JSON"),
+        ('{"schema": "torchid.gap/2", "robot": ' + "9" * 5000 + "}", r"(?s)not .*"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -111,6 +111,21 @@ def test_other_files_are_refused(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(TorchidError, match=said) as caught:
         torchid.load(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("read", [torchid.load, report_of_file, require_result])
+@pytest.mark.parametrize(
+    ("schema", "known"), [("torchid.gap/1", "torchid.gap/2"), ("torchid.pair/1", "torchid.pair/2")]
+)
+def test_files_of_another_version_are_refused(tmp_path: Path, read, schema, known) -> None:
+    """Whatever they hold: the error has what was got, what is read, and what to do."""
+    path = tmp_path / "x.json"
+    path.write_text(json.dumps({"schema": schema, "robot": "x", "explanation": {"parts": ["a"]}}))
+    with pytest.raises(TorchidError) as caught:
+        read(path)
+    error = caught.value
+    assert (error.got, error.available) == (f"schema {schema}, of another version", [known])
+    assert "run the command that wrote it again" in str(error)
 
 
 def test_bytes_that_are_no_text_and_no_file(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def test_what_was_printed_and_is_changed(tmp_path: Path, key: str, value: object
 
     def said(table: dict) -> object:
         explanation = {"parts": [table]}
-        file.write_text(json.dumps({"schema": "torchid.pair/1", "explanation": explanation}))
+        file.write_text(json.dumps({"schema": "torchid.pair/2", "explanation": explanation}))
         return report_of_file(file)[1]
 
     assert said(table)

@@ -3,14 +3,12 @@
 import time
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import torchid
 from torchid.app import options as opt
-from torchid.app.inputs import WRITTEN, Suffix
 from torchid.app.output import Diagnosed, Output, settings_of
 from torchid.app.signature import Switch, command
 from torchid.gap.settings import GapSettings
@@ -25,8 +23,6 @@ class _Asked:
 
     Attributes:
         save_model: Write the corrected robot, with its effects, as a .yaml.
-        view: Write torques, effects and regimes over time for a viewer: .mcap for Foxglove and
-            PlotJuggler (extra `view`).
         servo: What the servos are said to be, shown beside what is found of logs of commands:
             STS3215, `XL330-M288 gain=400`, `kp=12 clip=unknown`; one, or one a joint with commas.
         force: Diagnose a log that looks wrong (order or sign of joints, units, lag, a run with a
@@ -40,9 +36,6 @@ class _Asked:
     """
 
     save_model: opt.Model = None
-    view: Annotated[Path | None, typer.Option(metavar="FILE.mcap"), WRITTEN, Suffix((".mcap",))] = (
-        None
-    )
     servo: Annotated[str | None, typer.Option(metavar="NAME[ KEY=VALUE]..")] = None
     force: Switch = False
     before: opt.LogFiles = None
@@ -86,10 +79,6 @@ def gap_command(
     from torchid.report.brief import model_words
     from torchid.report.diagnosis import report_of_diagnosis
 
-    if asked.view is not None:
-        from torchid.report.view import require_viewer
-
-        require_viewer(asked.view)
     # The log is handed over, for it is not needed again: a long one takes half of the memory.
     handed = [log]
     del log
@@ -113,5 +102,4 @@ def gap_command(
         settings=settings_of(result, asked.servo),
     )  # fmt: skip
     output.put(asked.save_model, partial(result.write_corrected, rows=not asked.no_rows))
-    output.put(asked.view, partial(torchid.write_view, result))
     output.tell(shown)

@@ -56,7 +56,7 @@ _PANELS = (
     ("Bodies", "geometry shapes total_mass margin"),
     ("Reading logs", "columns topic torque gain kp kd"),
     ("Reading the robot", "tip root lock base servo"),
-    ("Output", "view ros2 urscript json_file overwrite force quiet"),
+    ("Output", "ros2 urscript json_file overwrite force quiet"),
     ("Running", "seed workers jobs scheduler store threads device_name debug"),
 )
 """Where in the help options stand, in this order: the panel and their names; `*` for all others."""

@@ -47,15 +47,12 @@ def of_diagnosis(found: GapRecord, robot: Robot | None, level: float) -> DrawnFr
     """Of a diagnosis, and of the robot as it was given to that if None.
 
     Raises:
-        TorchidError: a diagnosis of an older version, which has no covariance; another robot.
+        TorchidError: a diagnosis in which nothing was fitted; another robot.
     """
-    if found.corrected is None or found.model is None or found.covariance is None:
-        older = found.corrected is None or found.status in ("explained", "parametric_only")
+    if found.covariance is None:
         raise TorchidError(
-            "the diagnosis holds no covariance of what it found"
-            + (", as older versions wrote it." if older else ": nothing was fitted."),
+            "the diagnosis holds no covariance of what it found: nothing was fitted.",
             got=f"status {found.status}",
-            hint="`torchid gap ... --json gap.json` with this version" if older else None,
         )
     given = found.model if robot is None else robot
     require_same_arm(given, found.corrected, "diagnosis is")
@@ -126,9 +123,8 @@ def of_model(model: Robot, robot: Robot | None, level: float) -> DrawnFrom:
     return DrawnFrom(model, given, told, left, bands, tuple(said))
 
 
-def _unit(robot: Robot | None, joint: int) -> str:
-    sliding = robot is not None and robot.joint_types[joint] is JointType.PRISMATIC
-    return "N" if sliding else "N m"
+def _unit(robot: Robot, joint: int) -> str:
+    return "N" if robot.joint_types[joint] is JointType.PRISMATIC else "N m"
 
 
 def _bands(found: GapRecord, level: float) -> tuple[ResidualBand, ...]:

@@ -24,8 +24,6 @@ from torchid.export.servo_mjcf import ANCHOR, JOINTS, said_in_mjcf, unsaid_param
 from torchid.export.set_points import followed
 from torchid.export.write_actuator import Package, write_actuator
 from torchid.export.write_plain import write_c, write_yaml
-from torchid.export.write_usd import SAID as IN_LAYER
-from torchid.export.write_usd import write_usd
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.plausibility import LEAD, by_percent
 from torchid.feasibility.record import Check, check_sets
@@ -41,9 +39,8 @@ from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
-Format = Literal["urdf", "mjcf", "yaml", "c", "usd", "isaaclab", "mjlab"]
-SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml"}
-SUFFIXES |= {"yaml": ".yaml", "c": ".c", "usd": "_joints.usda"}
+Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
+SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "c": ".c"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 _SET_POINTS = (
     "set points of servos are joints of the file (torchid_set_point_*): commands are its first "
@@ -136,7 +133,7 @@ def export_dynamics(
         to: format. All but c and actuators need
             physical parameters: of base parameters those nearest to the robot's own that have
             exactly them, or, where no bodies do, the nearest bodies that nearly do. isaaclab and
-            mjlab are actuator classes that add the effects at run time, usd is a layer of joints.
+            mjlab are actuator classes that add the effects at run time.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
@@ -186,8 +183,8 @@ def export_dynamics(
         dynamics.arm, edited if to == "mjcf" else None, refitted=dynamics.late is not None
     )
     found, written = None, dynamics.robot
-    # C, layers and actuators hold no bodies of base parameters.
-    if to not in get_args(Package) and (dynamics.base is None or to not in ("c", "usd")):
+    # C and actuators hold no bodies of base parameters.
+    if to not in get_args(Package) and (dynamics.base is None or to != "c"):
         dynamics, written, found = _bodies(dynamics, nominal, geometry, force)
     folder.mkdir(parents=True, exist_ok=True)
     motion = random_states(dynamics.robot, seed)
@@ -195,8 +192,6 @@ def export_dynamics(
         draft, comparisons = write_yaml(dynamics, written, path, motion)
     elif to == "c":
         draft, comparisons = write_c(dynamics, path, motion)
-    elif to == "usd":
-        draft, comparisons = write_usd(dynamics, path)
     elif to == "isaaclab" or to == "mjlab":
         draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
     else:
@@ -258,8 +253,7 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
         return ()
     servos = dynamics.arm.servos
     words = (_SET_POINTS,) * (dynamics.set_points and bool(followed(servos).any()))
-    names = AS_EFFORT if to in get_args(Package) else {"usd": IN_LAYER}.get(to, JOINTS)
-    said = servos.keeping(names)
+    said = servos.keeping(AS_EFFORT if to in get_args(Package) else JOINTS)
     if to == "mjcf":
         said = said_in_mjcf(servos, set_points=dynamics.set_points)
     unsaid = unsaid_parameters(servos, said)

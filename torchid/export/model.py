@@ -150,7 +150,7 @@ def load_model(
 
     Raises:
         RobotError: no such robot, or one without inertial parameters.
-        TorchidError: a diagnosis that does not hold its corrected model.
+        TorchidError: the JSON of a diagnosis of positions, which does not hold its servos' model.
 
     >>> import torch, torchid
     >>> model = torchid.load_model("3r_friction")
@@ -169,9 +169,9 @@ def load_model(
         return ServoModel(model.corrected, model.record)
     if isinstance(model, TorqueDiagnosis):
         return ArmModel(model.corrected, model.record)
-    if isinstance(model, GapRecord) and model.corrected is not None:
+    if isinstance(model, GapRecord):
         return ArmModel(model.corrected, model)
-    if isinstance(model, GapRecord | PositionRecord):
+    if isinstance(model, PositionRecord):
         raise TorchidError(
             f"the result of '{model.robot}' does not hold the corrected model.",
             hint="the .yaml of `torchid gap --save-model`",

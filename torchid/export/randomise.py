@@ -79,8 +79,8 @@ def randomise(
         seed: of the draws.
 
     Raises:
-        TorchidError: a diagnosis of an older version, which has no covariance, or a model without;
-            a level outside 0 to 1; another robot.
+        TorchidError: a diagnosis in which nothing was fitted, or a model that does not say how sure
+            it is; a level outside 0 to 1; another robot.
 
     >>> import torch, torchid
     >>> robot = torchid.load_robot("3r")

@@ -91,11 +91,7 @@ def carried(
     if CORRECTED in data:
         found = diagnosis(path)
         assert isinstance(found, GapRecord)
-        assert found.corrected is not None
-        if robot is not None:
-            nominal = load_robot(robot, **choice.options)
-        else:
-            nominal = found.model or named_robot(path, {"robot": found.robot}, choice)
+        nominal = found.model if robot is None else load_robot(robot, **choice.options)
         title = f"the corrected robot of {path.name}"
         dynamics = replace(robot_dynamics(found.corrected), title=title)
         settings = GapSettings(cutoff=found.cutoff_hz, report_band=found.band_hz)
@@ -156,8 +152,6 @@ def diagnosis(path: Path, *more: str) -> GapRecord | PositionRecord:
     """
     found = read(path, ("torchid.gap/2", *more), "the JSON of `torchid gap`")
     assert isinstance(found, PositionRecord | GapRecord)
-    if isinstance(found, GapRecord) and found.corrected is None:
-        raise TorchidError(f"'{path}' does not hold the corrected model.", expected=_KINDS)
     return found
 
 

@@ -209,7 +209,7 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
             named.append((f"{name}{'_'.join(map(str, place))}", unit, cause.label))
             sizes.append(size)
     notes = []
-    given = [{**robot_record(r.model), "name": ""} for r in own if r.model is not None]
+    given = [{**robot_record(r.model), "name": ""} for r in own]
     if any(one != given[0] for one in given):
         notes.append(
             "the simulators as given differ: what is an effect of one gap may be part of the "
@@ -217,7 +217,7 @@ def of_diagnoses(records: Mapping[str, GapRecord]) -> Estimates:
         )
     if len({r.settings.effects for r in own}) > 1:
         notes.append("the diagnoses searched over different effects")
-    robots = [r.corrected for r in own if r.corrected is not None and r.corrected.parameters]
+    robots = [r.corrected for r in own if r.corrected.parameters]
     closed = [
         "" if r.how_far.closed is None else f", {percent(r.how_far.closed)} closed" for r in own
     ]

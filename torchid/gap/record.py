@@ -1,14 +1,13 @@
 """A diagnosis as its JSON has it: the schema torchid.gap/2."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 import torch
 
-from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 from torchid.results.answer import DiagnosisRecord, NotTestable
 from torchid.results.cause import Cause, How
@@ -287,19 +286,12 @@ class NoiseFloor(Part, frozen=True):
 
 @dataclass(frozen=True)
 class GapSettingsRecord(GapSettings):
-    """The settings, and whether base parameters were refitted; older files do not say it."""
+    """The settings, and whether base parameters were fitted with everything."""
 
-    refitted: bool | None = None
+    refitted: bool = field(kw_only=True)
 
     def __post_init__(self) -> None:
         """Settings of an answer are not judged again: an older file may name other effects."""
-
-    @property
-    def free(self) -> bool:
-        """Whether base parameters were fitted with everything."""
-        if self.refitted is not None:
-            return self.refitted
-        return self.parameters == "free" or bool(self.background)
 
 
 class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torchid.gap/2"):
@@ -321,12 +313,10 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         warnings: sentences for the user.
         model, corrected: the robot as given, and with what was found.
         friction: the law of each joint that has friction, in the model or found.
-        covariance: of the coefficients of all causes that last; null where nothing was fitted, and
-            in older files.
-        residual: what is left, joint by joint; none in older files.
+        covariance: of the coefficients of all causes that last; null where nothing was fitted.
+        residual: what is left, joint by joint.
         knowledge: what was known before, and what this log adds.
-        nearest_fields: for effects of `corrected` that an MJCF or URDF has no field for; none in
-            older files.
+        nearest_fields: for effects of `corrected` that an MJCF or URDF has no field for.
         since: the earlier log that causes are held against; absent without one.
         seed: of everything random, from a command.
     """
@@ -345,8 +335,8 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
     cutoff_hz: float
     settings: GapSettingsRecord
     warnings: tuple[str, ...] = ()
-    model: Model | None = None
-    corrected: Model | None = None
+    model: Model
+    corrected: Model
     friction: tuple[FrictionLaw, ...] = ()
     covariance: Covariance | None = None
     residual: tuple[Residual, ...] = ()
@@ -372,11 +362,8 @@ class GapRecord(DiagnosisRecord, frozen=True, eq=False, kw_only=True, tag="torch
         """Write the corrected robot with its effects as a .yaml.
 
         Raises:
-            TorchidError: a file of an older version, which does not hold it, or one that cannot be
-                written.
+            TorchidError: it cannot be written.
         """
-        if self.corrected is None:
-            raise TorchidError("the diagnosis does not hold the corrected model.")
         write_robot(self.corrected, path)
 
     def next_motion(self, robot: Robot | None = None, **settings: Any) -> "Separation":

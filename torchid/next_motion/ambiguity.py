@@ -53,13 +53,8 @@ def open_questions(record: GapRecord, robot: Robot, source: str) -> Open:
         source: what the record is called in errors.
 
     Raises:
-        TorchidError: a record without its models, another robot's, or nothing left open.
+        TorchidError: another robot's, or nothing left open.
     """
-    if record.corrected is None:
-        raise TorchidError(
-            f"'{source}' does not hold the corrected model.",
-            hint="write it again: torchid gap ROBOT LOG... --json FILE",
-        )
     refuse_another(source, record.corrected, robot)
     model = replace(record.corrected, limits=robot.limits)
     asked, notes = _ambiguities(record, model)
@@ -132,10 +127,10 @@ def _truth(entry: Cause, record: GapRecord, robot: Robot) -> Explanation:
     kind = effect_kind(entry.effect)
     joint = entry.joints[0] if entry.joints else 0
     if kind.name == LINK:
-        before = record.model
-        if before is None or before.parameters is None or robot.parameters is None:
+        before = record.model.parameters
+        if before is None or robot.parameters is None:
             raise TorchidError("the diagnosis does not record the model's inertial parameters.")
-        change = robot.parameters.pi[joint] - before.parameters.pi[joint]
+        change = robot.parameters.pi[joint] - before.pi[joint]
         return Explanation((kind(joint),), tuple(change.tolist()))  # type: ignore[call-arg]
     effect, coefficients = valued(entry, robot)
     # What the file has already nothing else is taken for.
@@ -168,7 +163,7 @@ def _setting(record: GapRecord, robot: Robot) -> Setting:
     # Without repeats the lower bound is whatever a predictor leaves of the torque.
     noise = (floor.low * floor.high).sqrt() if floor.source == "repeats" else floor.high
     fitted: list[Group] = []
-    if settings.free:
+    if settings.refitted:
         fitted = [(e,) for e in on_every_joint(settings.background, robot.n)]
     for entry in record.which:
         if entry.effect != LINK and _by_motion(entry.effect):
@@ -180,7 +175,7 @@ def _setting(record: GapRecord, robot: Robot) -> Setting:
         noise.clamp(min=1e-6 * float(floor.high.max())),
         record.band_hz,
         record.cutoff_hz,
-        settings.free,
+        settings.refitted,
         tuple(dict.fromkeys(fitted)),
     )
 

@@ -58,7 +58,7 @@ def prior_of_diagnosis(record: GapRecord, robot: Robot, source: str) -> Prior:
         TorchidError: another robot's, or the record of an older torchid.
     """
     model = record.corrected
-    if model is None or model.knowledge is None:
+    if model.knowledge is None:
         raise TorchidError(
             f"'{source}' does not say how sure the corrected model is.",
             hint="write it again: torchid gap ROBOT LOG... --json FILE",

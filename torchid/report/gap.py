@@ -41,7 +41,6 @@ def evidence(record: GapRecord) -> Evidence:
 
 def model_of(record: GapRecord) -> Robot:
     """The robot as given."""
-    assert record.model is not None
     return record.model
 
 

@@ -1,6 +1,6 @@
 """Results read back from their files, whatever their kind."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -37,13 +37,7 @@ RECORDS = other_packages.RECORDS | {
     "torchid.gap.calibration/1": "torchid.withheld.planted:CalibrationRecord",
 }
 """Where the record of each schema stands; of several of one schema, with what tells them apart."""
-
-OLDER = {
-    "torchid.gap/1": ("torchid.gap/2", "torchid.gap.older:from_first"),
-    "torchid.position_gap/1": ("torchid.position_gap/1", "torchid.gap.older:of_positions"),
-    "torchid.pair/1": ("torchid.pair/2", "torchid.gap.older:of_pair"),
-}
-"""Schemas of files of older versions: what they are now, and what makes them so."""
+AGAIN = "run the command that wrote it again, with this version"
 
 
 class _Head(msgspec.Struct):
@@ -97,31 +91,37 @@ def read(
     path = Path(path)
     kind = require_result(path, what, hint)
     if kind not in kinds:
-        schemas = dict.fromkeys(name.partition(" ")[0] for name in kinds)
-        other = any(s.partition("/")[0] == kind.partition("/")[0] for s in schemas)
         raise TorchidError(
-            f"'{path}' is not {what}.",
-            got=f"schema {kind}{', of another version' if other else ''}",
-            available=list(schemas),
-            hint=hint,
+            f"'{path}' is not {what}.", got=f"schema {kind}", available=_schemas(kinds), hint=hint
         )
     record: type[Record] = other_packages.loaded(RECORDS[kind])
-    return parsed(contents(path, what, hint), record, path, what, hint)
+    return parsed(contents(path, what, hint), record, path, what, hint or AGAIN)
 
 
 def require_result(path: Path, what: str = "a result", hint: str | None = None) -> str:
     """Which kind of result a file holds, without loading torch.
 
     Raises:
-        TorchidError: no such file, or no result.
+        TorchidError: no such file, no result, or one of another version.
     """
+    again = hint or AGAIN
     if hint is None:
         hint = "a result is the JSON that a command writes, or that `save` of a result does"
         if path.suffix.lower() in ROBOT_FILES:
             hint = f"a robot, with what was found of it, is shown by: torchid robot {path}"
     head = parsed(contents(path, what, hint), _Head, path, what, hint)
     assert isinstance(head, _Head)
+    name = head.schema.partition("/")[0]
+    versions = [schema for schema in _schemas(RECORDS) if schema.partition("/")[0] == name]
+    if versions and head.schema not in versions:
+        got = f"schema {head.schema}, of another version"
+        raise TorchidError(f"'{path}' is not {what}.", got=got, available=versions, hint=again)
     return head.kind
+
+
+def _schemas(kinds: Iterable[str]) -> list[str]:
+    """Schemas of the keys of `RECORDS`."""
+    return list(dict.fromkeys(kind.partition(" ")[0] for kind in kinds))
 
 
 def read_as(path: str | Path, record: type[_R], what: str, hint: str | None = None) -> _R:
@@ -132,35 +132,16 @@ def read_as(path: str | Path, record: type[_R], what: str, hint: str | None = No
 
 
 def contents(path: Path, what: str, hint: str | None = None) -> bytes:
-    """What a file holds, one of an older version as it would be written now.
+    """What a file holds.
 
     Raises:
         TorchidError: it cannot be read.
     """
     try:
-        return as_now(path.read_bytes())
+        return path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         said = getattr(error, "strerror", None) or error
         raise TorchidError(f"'{path}' cannot be read: {said}.", expected=what, hint=hint) from error
-
-
-def as_now(content: bytes) -> bytes:
-    """The content of a file as this version writes it; of what is no such file as it is."""
-    try:
-        schema = msgspec.json.decode(content, type=_Head).schema
-        if schema not in OLDER:
-            return content
-        data = msgspec.json.decode(content)
-    except (msgspec.MsgspecError, ValueError, RecursionError):
-        return content
-    name, place = OLDER[schema]
-    try:
-        now = other_packages.loaded(place)(data)
-    except (KeyError, TypeError, AttributeError, ValueError):  # reading the record says its fault
-        now = data | {"schema": name, "answer": None}
-        if isinstance(where := data.get("where"), dict):
-            now["where"] = where | {"regimes": []}  # whose names are others now
-    return content if now is data else msgspec.json.encode(now)
 
 
 def parsed(content: bytes, kind: type[Any], path: Path, what: str, hint: str | None = None) -> Any:

@@ -13,15 +13,12 @@ from torchid.robot.model import Robot
 
 Target = Literal["mjcf", "urdf"]
 """Files of simulators."""
-Fields = Target | Literal["usd"]
-"""Formats with fields of joints."""
 
-SAID: dict[Fields, frozenset[str]] = {
+SAID: dict[Target, frozenset[str]] = {
     "mjcf": frozenset(
         {"damping", "quadratic", "cubic", "friction", "armature", "stiffness", "offset"}
     ),
     "urdf": frozenset({"damping", "friction"}),
-    "usd": frozenset({"damping", "friction", "armature"}),
 }
 """Fields of `JointDynamics` that a format has."""
 CURVES = {2.0: "quadratic", 3.0: "cubic"}
@@ -62,7 +59,7 @@ class JointDynamics:
         return least >= 0 and self.quadratic >= -2 * math.sqrt(self.damping * self.cubic)
 
 
-def attributes_in(to: Fields, effect: Effect, values: Sequence[float]) -> dict[str, float] | None:
+def attributes_in(to: Target, effect: Effect, values: Sequence[float]) -> dict[str, float] | None:
     """What an effect adds to its joint's fields in a format; None where it has no field there."""
     added = effect.attributes(values)
     if isinstance(effect, PowerLawFriction) and effect.a in CURVES:
@@ -91,7 +88,7 @@ def dynamics_of_links(robot: Robot, joints: Sequence[JointDynamics]) -> tuple[Jo
     )
 
 
-def split(robot: Robot, to: Fields) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
+def split(robot: Robot, to: Target) -> tuple[tuple[JointDynamics, ...], tuple[Valued, ...]]:
     """Attributes of the n joints, and the effects that are not among them."""
     joints = [JointDynamics() for _ in range(robot.n)]
     rest: list[Valued] = []

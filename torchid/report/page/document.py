@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 MOST_BYTES = 3_000_000
 """Of a page beside plotly's script, and more than any of them needs."""
-_PACKAGES = ("numpy", "scipy", "scikit-learn", "pytorch-kinematics", "clarabel", "matplotlib")
+_PACKAGES = ("numpy", "scipy", "pytorch-kinematics", "clarabel", "matplotlib")
 
 
 def require_page(file: Path) -> None:
