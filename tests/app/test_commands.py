@@ -314,6 +314,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
         ("gap --simulated sim.csv --real arm.csv", "torchid pair"),
         ("gap --real=arm.csv", "torchid pair"),
         ("gap 3r run.csv --to urdf --out out", "torchid correct"),
+        ("gap 3r run.csv --for urdf --out out", "torchid correct"),
         ("gap 3r run.csv --calibrate 3", "torchid calibrate"),
     ],
 )

@@ -89,7 +89,6 @@ def test_all_commands_stand_in_panels() -> None:
 @pytest.mark.parametrize(
     ("name", "given", "now"),
     [
-        ("gap", "3r run.csv --for urdf", "to"),
         ("simulate", "3r run.csv --to log.csv", "save"),
         ("log show", "run.csv --out run.parquet", "save"),
         ("excite", "3r --to run.csv", "save"),

@@ -34,6 +34,7 @@ GONE = {
     "gap --simulated": "torchid pair --simulated SIM --real REAL [ROBOT]",
     "gap --real": "torchid pair --simulated SIM --real REAL [ROBOT]",
     "gap --to": "torchid correct ROBOT LOG... --to FORMAT",
+    "gap --for": "torchid correct ROBOT LOG... --to FORMAT",
     "gap --calibrate": "torchid calibrate ROBOT LOG... --causes N",
 }
 """Options that the release before had last, and what replaces them."""

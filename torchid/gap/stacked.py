@@ -25,7 +25,7 @@ from torchid.log.model import Log
 from torchid.robot.model import torque_unit
 from torchid.typing import Bool, Float, Tensor
 
-LEFT_OUT = "Caution: nothing is said to be new since"
+LEFT_OUT = "Caution: nothing counts as new since"
 """How the warning begins that an earlier log is left out."""
 
 MISFIT = 0.1
