@@ -1,5 +1,5 @@
-"""`torchid correct`, `torchid gap --for` and `torchid export RESULT --log`: one function, three
-ways to it, and nothing written where it cannot be used."""
+"""`torchid correct` and `torchid export RESULT --log`: one function, two ways to it, and nothing
+written where it cannot be used."""
 
 import json
 import re
@@ -51,14 +51,11 @@ def test_one_call(command, runs, tmp_path, types_unchecked):
 
 @pytest.mark.slow
 def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, types_unchecked):
-    """`gap --for` judges by folds, and its JSON with the logs gives the same file."""
+    """It is judged by folds, and the JSON of `gap` with the logs gives the same file."""
     record, out = tmp_path / "gap.json", tmp_path / "out"
-    done = command(
-        "gap", "3r", *runs, *FEW, "--json", record, "--for", "mjcf", "--out", out
-    )  # fmt: skip
-    assert done.code == 0, done.err
-    # What --json asked for is the diagnosis.
-    assert json.loads(record.read_text())["schema"] == "torchid.gap/2"
+    for words in (("gap", "--json", record), ("correct", "--to", "mjcf", "--out", out)):
+        done = command(words[0], "3r", *runs, *FEW, *words[1:])
+        assert done.code == 0, done.err
     said = json.loads((out / "correction.json").read_text())
     assert said["schema"] == "torchid.correction/1"
     errors = said["judged"]["torque_error_percent"]

@@ -128,7 +128,9 @@ def test_what_is_no_earlier_log_is_refused() -> None:
 
 def is_left_out(found: TorqueDiagnosis, alone: TorqueDiagnosis, source: str) -> None:
     """It says so first, and has the causes of the log without an earlier one."""
-    assert found.warnings[0].startswith(f"Caution: nothing counts as new since {source}")
+    assert found.warnings[0].startswith(
+        f"Earlier log left out, so that nothing counts as new: {source}"
+    )
     assert "since" not in found.plain()
     assert [(c.effect, c.joints, c.parameters) for c in found.answer.causes] == [
         (c.effect, c.joints, c.parameters) for c in alone.answer.causes

@@ -98,22 +98,21 @@ LOOPS = {
 }
 
 
-@pytest.mark.parametrize("kind", some(LOOPS, 1))
+@pytest.mark.parametrize("kind", quick_first(LOOPS, 1))
 def test_a_loop_over_position_is_no_lag(kind):
     result = torchid.examine(single_axis("P", mass=5.0), LOOPS[kind], first=True)
     assert [c.name for c in result.checks if c.verdict == "wrong"] == []
     (lag,) = [c for c in result.checks if c.name == "lag"]
-    assert lag.verdict == "fine"
-    assert "a loop over position explains more" in lag.evidence
+    assert lag.verdict in ("fine", "cannot tell")
+    assert lag.repairs == ()
 
 
-@pytest.mark.parametrize("seconds", some([0.02, 0.15], 1))
-def test_a_lag_is_still_a_lag(seconds):
+@pytest.mark.parametrize(("seconds", "verdict"), [(0.02, "fine"), (0.15, "doubtful")])
+def test_a_lag_of_one_joint_that_rubs_is_a_doubt_at_most(seconds, verdict):
+    """Friction that builds up over a distance looks as late, and no other joint bears it out."""
     result = torchid.examine(single_axis("P", known=False), late(seconds), first=True)
     (lag,) = [c for c in result.checks if c.name == "lag"]
-    assert lag.verdict == (
-        "doubtful" if seconds < 0.1 else "wrong"
-    )  # how much of it bodies explain
+    assert lag.verdict == verdict
     assert lag.estimate == pytest.approx(seconds, abs=0.002)
 
 

@@ -132,8 +132,9 @@ def _lateness(judge: Judge, result: Search, lag: Profile) -> str:
     least = max(LATE_TORQUE_S, 0.5 * judge.samples.step)
     away = max(lag.low, -lag.high, 0.0)
     long = abs(lag.value) > least and away > 0.0
-    # 0.5: share of a lag that may be left once it is mended: of one less known, nothing is mended
-    known = result.explained and away >= 0.5 * abs(lag.value)
+    # 0.5: share of a lag that may be left once it is mended: of one less known, or at the end of
+    # what is tried, where its interval has no width, nothing is mended
+    known = result.explained and away >= 0.5 * abs(lag.value) and lag.low < lag.high
     if known and long and lag.gain > CLEAR_GAIN:
         return "clear"
     if known and away > least and lag.gain > LIKELY:

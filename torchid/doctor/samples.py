@@ -14,7 +14,7 @@ BLOCKS = 8
 """Blocks of time that are held out in turn; longer than any filter's or friction's memory."""
 MOVING = 0.5
 """Smoothed direction of motion from which a joint moves [1]."""
-LOOPS = tuple(0.1 / 4**k for k in range(5))
+LOOPS = tuple(0.4 / 4**k for k in range(6))
 """Shares of half a joint's range over which friction builds up after a reversal: from what gears
 wind up by to what a joint goes within the filter's time; what lies between is made of two."""
 _CUTOFF_HZ = (2.0, 12.0)

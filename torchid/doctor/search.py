@@ -205,13 +205,13 @@ def _best(
 
 
 def _stands(judge: Judge, move: Move) -> bool:
-    """Whether a lag wins beside friction that builds up after reversals, too, and a coupling
-    explains more than a push at one link does; true of all else."""
-    if move.kind == "lag":
-        before, after = (judge.looped.score(h).loss for h in (move.before, move.after))
-        return after < before - CLEAR_GAIN
+    """Whether a lag, or a sign, wins beside friction that builds up after reversals, too, and a
+    coupling explains more than a push at one link does; true of all else."""
     if move.kind == "coupling":
         return judge.score(move.after).loss < pushed_loss(judge, move.before) - TIED_GAIN
+    if move.kind == "lag" or move.kind.endswith("sign"):
+        before, after = (judge.looped.score(h).loss for h in (move.before, move.after))
+        return after < before - CLEAR_GAIN
     return True
 
 

@@ -125,8 +125,10 @@ def diagnose(
         doubts = ask_first(robot, log, force=force)
         # What speaks against a held-out log is said, and changes nothing of the answer.
         of_held_out = () if held_out is None else ask_first(robot, held_out, force=force).warnings
+        of_earlier = Doubts()
         if isinstance(earlier, Log):
-            about, fits = earlier_doubts(ask_first(robot, earlier, force=force), doubts, earlier)
+            of_earlier = ask_first(robot, earlier, force=force)
+            about, fits = earlier_doubts(of_earlier, doubts, earlier)
             missing, earlier = about, earlier if fits else None
         handed = [log]  # a long log is let go as soon as it is prepared
         del log
@@ -142,6 +144,7 @@ def diagnose(
     # 0.9: share of the error that a diagnosis takes away where it has answered what was doubted
     settled = answer.status in ("no_gap", "negligible") or answer.less >= 0.9
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
+    text = text or (f"Earlier log: {of_earlier.short}" if of_earlier.wrong else "")
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
     # That an earlier log is left out is said before all else.
@@ -200,8 +203,8 @@ def earlier_doubts(own: Doubts, asked: Doubts, earlier: Log) -> tuple[tuple[str,
         why = f"Its torque is {ratio:.3g} times that of the log that is asked, on like motion."
     source = source_of(earlier.names)
     if why:
-        return (f"{LEFT_OUT} {source}, which is left out. {why}",), False
-    return ((f"Caution: of the earlier log, {source}: {own.short}",) if own.short else ()), True
+        return (f"{LEFT_OUT} {source}. {why}",), False
+    return ((f"Earlier log in doubt: {source}. {own.short}",) if own.short else ()), True
 
 
 def _of_positions(

@@ -25,7 +25,7 @@ from torchid.log.model import Log
 from torchid.robot.model import torque_unit
 from torchid.typing import Bool, Float, Tensor
 
-LEFT_OUT = "Caution: nothing counts as new since"
+LEFT_OUT = "Earlier log left out, so that nothing counts as new:"
 """How the warning begins that an earlier log is left out."""
 
 MISFIT = 0.1
@@ -117,7 +117,7 @@ def why_left_out(earlier: Earlier, problem: Problem) -> str:
     slides = torch.cat([moves(s.motion, s.moving) for s in segments]).double().mean(0) >= HARDLY
     keep = moving_samples(samples) & slides[:, None]
     if not bool(keep.any()):
-        return f"{LEFT_OUT} {earlier.source}: no joint moves in it."
+        return f"{LEFT_OUT} {earlier.source}. No joint moves in it."
     if not earlier.own:
         return ""
     gap = Columns(problem.given.model, samples).gap
@@ -129,7 +129,7 @@ def why_left_out(earlier: Earlier, problem: Problem) -> str:
         return ""
     unit = torque_unit(problem.robot)
     return (
-        f"{LEFT_OUT} {earlier.source}, which is left out: beside its torque of {measured:.3g} "
+        f"{LEFT_OUT} {earlier.source}. Beside its torque of {measured:.3g} "
         f"{unit} the model errs by {error:.3g}, where {expected:.2g} was to be expected. Is it of "
         "this arm, and in this unit? `before=...` gives another log."
     )

@@ -111,7 +111,7 @@ def diagnose_torque(
         (own,) = _errors(alone)
         if max(both) > math.hypot(MISFIT, own):
             left_out = (
-                f"{LEFT_OUT} {earlier.source}, which is left out: together {both[0]:.0%} of its "
+                f"{LEFT_OUT} {earlier.source}. Together {both[0]:.0%} of its "
                 f"torque and {both[1]:.0%} of that of the log that is asked are unexplained, "
                 f"{own:.0%} of the latter alone."
             )

@@ -55,9 +55,9 @@ UNCHANGED = 0.99
 """Share of the error that is left, from which on the causes have closed nothing."""
 
 
-KINDS = ("Stopped", "Next time", "Caution")
-"""How warnings begin that come first: that a search was, and those that ask for something; all
-others are for information."""
+KINDS = ("Stopped", "Earlier log", "Next time", "Caution")
+"""How warnings begin that come first: that a search was, what is wrong with the log that causes are
+held against, and those that ask for something; all others are for information."""
 
 COLUMNS = ("joint", "before", "after", "noise", "cause (value ± std)", "sure", "what to do")
 

@@ -10,7 +10,7 @@ from torchid.design.columns import Model
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.earlier import NEW, TwoLogs
 from torchid.gap.causes.evidence import Fit
-from torchid.gap.causes.judge import Judged, judge
+from torchid.gap.causes.judge import NEARLY, Judged, judge
 from torchid.gap.causes.misfit import foreseen
 from torchid.gap.causes.search import Found, Search
 from torchid.gap.problem import Problem
@@ -103,14 +103,18 @@ def with_likeliest(search: Search, fit: Fit, judged: Sequence[Judged]) -> Fit | 
         fit: the explanation.
         judged: its terms, with their rivals.
     """
-    terms = list(fit.terms)
+    evidence, terms = search.evidence, list(fit.terms)
     for k, one in enumerate(judged):
         (likeliest, *others), sure = one.members[0] if one.members else ((one.term,), one.own)
-        if sure >= LIKELY and not others and all(likeliest is not t for t in terms):
+        # Of what is nearly as likely, or the same torque, the search's own stays.
+        if others or sure < LIKELY or one.own >= NEARLY * sure or likeliest in terms:
+            continue
+        then = evidence.fit((*fit.terms[:k], likeliest, *fit.terms[k + 1 :]), fit.samples)
+        if not search.alike(then, fit, search.without(fit, one.term)):
             terms[k] = likeliest
-    if all(a is b for a, b in zip(terms, fit.terms, strict=True)):
+    if terms == list(fit.terms):
         return None
-    then = search.again(search.evidence.fit(terms, fit.samples))
+    then = search.again(evidence.fit(terms, fit.samples))
     return then if then.allowed else None
 
 
