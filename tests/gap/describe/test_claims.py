@@ -55,6 +55,15 @@ def test_a_push_that_may_as_well_not_be_has_no_name(rare, force, std, named):
     assert one.as_known(force, std).named == named
 
 
+def test_another_push_in_the_same_window_is_a_push() -> None:
+    """One name has one probability, and is no rival of itself."""
+    one, other, gain = (some_term(n, None) for n in ("contact", "contact", "torque_gain"))
+    members = (((one,), 0.4), ((other,), 0.3), ((gain,), 0.2))
+    of = Claim(Judged(one, one, 0.4, 0.4, 0.1, members, 0.4), torch.ones(3))
+    assert of.probabilities == pytest.approx({"contact": 0.7, "torque_gain": 0.2})
+    assert of.ambiguous_with == ("torque_gain",)
+
+
 def test_of_a_law_whose_terms_are_unsure_the_largest_has_the_name():
     law = [claim(0.3, 0.99), claim(0.4, 0.99), claim(0.2)]
     assert with_a_name(law, [0.1, 0.5, 0.4]) == [False, True, False]

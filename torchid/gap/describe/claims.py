@@ -112,7 +112,13 @@ class Claim:
         some = self.in_set
         if self.at_an_end and not some:
             some = tuple(t for t, _ in self.others[:1])
-        return tuple(dict.fromkeys(_name_beside(other, self.term) for other in some))
+        names = dict.fromkeys(_name_beside(other, self.term) for other in some)
+        return tuple(name for name in names if name != self.name)
+
+    @property
+    def name(self) -> str:
+        """That of its effect; all bodies are links."""
+        return LINK if self.term.name == BASE else self.term.name
 
     @property
     def asked_again(self) -> bool:
@@ -122,10 +128,13 @@ class Claim:
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Of it alone and of each of its set, by name."""
-        mass = {id(t): p for t, p in self.others}
-        near = {_name_beside(t, self.term): mass[id(t)] for t in self.in_set}
-        return {LINK if self.term.name == BASE else self.term.name: self.alone_sure, **near}
+        """Of it alone and of each of its set, by name; what has its name elsewhere on the arm, as
+        another push in the same window, is part of its own."""
+        mass, out = {id(t): p for t, p in self.others}, {self.name: self.alone_sure}
+        for term in self.in_set:
+            name = _name_beside(term, self.term)
+            out[name] = out.get(name, 0.0) + mass[id(term)]
+        return out
 
     @property
     def branch_sure(self) -> float:

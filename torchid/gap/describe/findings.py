@@ -106,7 +106,7 @@ def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[s
     wide = one.branch_sure if narrow else max(one.branch_sure, one.law_sure)
     own |= how_named(kind_of(one.term).branch, sure, alone, wide)
     # What to do is said of what is likely by itself; of a set what would tell its members apart.
-    if one.alone_sure < LIKELY:
+    if own["probabilities"][one.name] < LIKELY:
         own["remedy"] = f"To tell which it is, {kind_of(one.term).experiment}."
     if one.term.parametric:
         links = one.term.joints if one.term.name == LINK else ()
