@@ -125,11 +125,9 @@ def diagnose(
         doubts = ask_first(robot, log, force=force)
         # What speaks against a held-out log is said, and changes nothing of the answer.
         of_held_out = () if held_out is None else ask_first(robot, held_out, force=force).warnings
-        of_earlier = Doubts()
+        of_earlier = ""
         if isinstance(earlier, Log):
-            of_earlier = ask_first(robot, earlier, force=force)
-            about, fits = earlier_doubts(of_earlier, doubts, earlier)
-            missing, earlier = about, earlier if fits else None
+            earlier, missing, of_earlier = earlier_asked(robot, earlier, doubts, force)
         handed = [log]  # a long log is let go as soon as it is prepared
         del log
         found: TorqueDiagnosis | PositionDiagnosis
@@ -144,7 +142,7 @@ def diagnose(
     # 0.9: share of the error that a diagnosis takes away where it has answered what was doubted
     settled = answer.status in ("no_gap", "negligible") or answer.less >= 0.9
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
-    text = text or (f"Earlier log: {of_earlier.short}" if of_earlier.wrong else "")
+    text = text or of_earlier
     # What the doctor has decided is said once.
     told = [w for w in found.warnings if not (doubts.foreign and w.startswith(CHECK_FIRST))]
     # That an earlier log is left out is said before all else.
@@ -187,24 +185,33 @@ def earlier_log(
     return (None, (found,)) if isinstance(found, str) else (found, ())
 
 
-def earlier_doubts(own: Doubts, asked: Doubts, earlier: Log) -> tuple[tuple[str, ...], bool]:
-    """What the doctor doubts of an earlier log, and whether it can be held against the one that is
-    asked: not where its torque follows no model of the robot, or is in another unit. The model that
-    both are held against may be of any size.
+def earlier_asked(
+    robot: Robot, earlier: Log, asked: Doubts, force: bool
+) -> tuple[Log | None, tuple[str, ...], str]:
+    """An earlier log where it can be held against the one that is asked, what the doctor doubts of
+    it, and what a headline says of one that is wrong and forced. It is none where its torque
+    follows no model of the robot, or is in another unit; the model that both are held against may
+    be of any size.
 
     Args:
-        own: of the earlier log.
-        asked: of the log that is asked.
-        earlier: the former.
+        robot, earlier: to be examined.
+        asked: what speaks against the log that is asked.
+        force: whether a wrong log is a doubt, and no error.
+
+    Raises:
+        WrongLogError: a decisive check says that the earlier log is wrong.
     """
+    own = ask_first(robot, earlier, force=force)
+    headline = f"Earlier log: {own.short}" if own.wrong else ""
     ratios = [own.sizes[j] / asked.sizes[j] for j in own.sizes.keys() & asked.sizes.keys()]
     why = own.foreign if not asked.foreign else ""
     if ratios and abs(math.log(ratio := median(ratios))) > math.log(OTHER_UNIT):
         why = f"Its torque is {ratio:.3g} times that of the log that is asked, on like motion."
     source = source_of(earlier.names)
     if why:
-        return (f"{LEFT_OUT} {source}. {why}",), False
-    return ((f"Earlier log in doubt: {source}. {own.short}",) if own.short else ()), True
+        return None, (f"{LEFT_OUT} {source}. {why}",), headline
+    about = (f"Earlier log in doubt: {source}. {own.short}",) if own.short else ()
+    return earlier, about, headline
 
 
 def _of_positions(
