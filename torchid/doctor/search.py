@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -177,10 +178,10 @@ def _best(
     judge: Judge, held: np.ndarray, costs: Sequence[tuple[float, Move]], fixes: Collection[str]
 ) -> tuple[FoundFault, np.ndarray] | None:
     # In sample too: held out alone, a short log punishes the freer of two hypotheses.
-    clear = [(cost, m) for cost, m in costs if cost < -CLEAR_GAIN and _stands(judge, m)]
+    clear = ((cost, m) for cost, m in costs if cost < -CLEAR_GAIN and _stands(judge, m))
     tried = []
     # 5: best moves that are looked at closely
-    for cost, m in clear[:5]:
+    for cost, m in islice(clear, 5):
         errors = judge.held_out(m.after)
         gains = _log(held) - _log(errors)
         tried.append((_loss(errors), m, errors, gains, cost))

@@ -117,8 +117,8 @@ class Claim:
 
     @property
     def name(self) -> str:
-        """That of its effect; all bodies are links."""
-        return LINK if self.term.name == BASE else self.term.name
+        """That of its effect."""
+        return _name(self.term)
 
     @property
     def asked_again(self) -> bool:
@@ -219,13 +219,18 @@ def at_an_end(library: Library, term: Term) -> tuple[str, ...]:
 
 def _name_beside(other: Term, term: Term) -> str:
     """Of another term in the place of one."""
-    name = LINK if other.name == BASE else other.name
+    name = _name(other)
     return f"{name} {other.joints[0] + 1}" if name == term.name and other.joints else name
 
 
 def kind_of(term: Term) -> type[Effect]:
-    """The kind of effect that a term is; all bodies are links."""
-    return KINDS[LINK if term.name == BASE else term.name]
+    """The kind of effect that a term is."""
+    return KINDS[_name(term)]
+
+
+def _name(term: Term) -> str:
+    """Of the effect that a term is; all bodies are links."""
+    return LINK if term.name == BASE else term.name
 
 
 def _near(one: Term, two: Term) -> bool:
