@@ -87,7 +87,7 @@ def run_command(
     workers: Workers,
     output: Printed,
 ) -> None:
-    """Diagnose every case of a set; no key is read. What is answered already stays.
+    """Ask `torchid.diagnose` of every case of a set; no key is read. What is answered stays.
 
     Example: `torchid withheld run cases --jobs 2`
 
@@ -96,17 +96,17 @@ def run_command(
     """
     from torchid.gap.settings import GapSettings
     from torchid_bench.withheld.case_set import read_cases
-    from torchid_bench.withheld.run import ERROR, jobs_of, run
+    from torchid_bench.withheld.run import UNANSWERED, jobs_of, run
 
     cases = read_cases(folder)
     todo = jobs_of(cases, GapSettings())
     with output.progress() as progress, staged(None):
         answers = run(todo, jobs=workers.count, again=again, progress=progress)
-    failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
+    failed = {case: a["error"] for case, a in answers.items() if a["status"] in UNANSWERED}
     statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
     output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
-    output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
+    output.warn(tuple(f"{case}: {answers[case]['status']}: {e}" for case, e in failed.items()))
 
 
 @command

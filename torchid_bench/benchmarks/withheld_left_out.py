@@ -40,7 +40,7 @@ def left_out(place: Path, effect: str, seed: int, number: int) -> dict[str, Any]
     key = {"id": place.name, "seed": seed}
     key |= write_case(place, seed, number, kind="single", effects=[effect])
     rest = GapSettings(effects=tuple(name for name in KINDS if name != effect))
-    job = Job(place.name, place / ROBOT, place / LOG, place / ANSWER, rest)
+    job = Job(place.name, place / ROBOT, (place / LOG,), place / ANSWER, rest)
     row = row_of(key, diagnose_case(job))
     failed = row.status == ERROR
     return {

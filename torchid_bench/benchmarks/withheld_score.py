@@ -131,7 +131,7 @@ def truth_case(cases: CaseSet, job: Job) -> dict[str, Any]:
         if ideal.urdf != job.robot.read_text(encoding="utf-8"):
             raise TorchidError(f"{job.case} is simulated differently now than when it was made.")
         bare = simulate_case(spec, ideal=True, fresh=True, bare=True)
-        log, right = (log_from_columns(one.columns, job.log) for one in (ideal, bare))
+        log, right = (log_from_columns(one.columns, job.logs[0]) for one in (ideal, bare))
         robot = load_robot(job.robot)
         noise = torch.tensor(ideal.key["noise_std"], dtype=torch.float64)
         return {

@@ -58,7 +58,9 @@ class Line:
         value = self.value(scores)
         if value is None:
             return "-", "", ""
-        entry = {} if self.path[-1] in ("set_size", "brier") else self.entry(scores)
+        entry = (
+            {} if self.path[-1] in ("set_size", "brier", "median", "worst") else self.entry(scores)
+        )
         between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
         count = f"{entry['cases']} cases" if "cases" in entry else ""
         if "total" in entry:
@@ -74,6 +76,12 @@ class Line:
 
 
 LINES = (
+    Line("good logs refused", ("outcomes", "refused", "share"), high=0.0),
+    Line("faults of the program (exit 70)", ("outcomes", "error", "share"), high=0.0),
+    Line("out of time", ("outcomes", "out_of_time", "share"), high=0.0),
+    Line("nothing named", ("outcomes", "silent", "share")),
+    Line("CPU seconds a case, median", ("seconds", "median"), percent=False),
+    Line("CPU seconds a case, worst", ("seconds", "worst"), percent=False),
     Line("false alarms, white noise", ("false_alarms", "white", "share"), high=0.03),
     Line("false alarms, coloured noise", ("false_alarms", "coloured", "share"), high=0.03),
     Line(
@@ -129,9 +137,6 @@ def headline(summary: Summary, lines: Sequence[Line] = LINES) -> str:
     judged = [line.met(summary["scores"]) for line in lines]
     met, missed = judged.count(True), judged.count(False)
     text = f"{met} of {met + missed} targets met on {summary['cases']} cases"
-    errors = len(summary["scores"]["errors"])
-    if errors:
-        text += f"; {errors} diagnoses failed"
     if summary["unanswered"]:
         text += f"; {summary['unanswered']} cases have no answer"
     return text + "."

@@ -2,7 +2,8 @@
 
     DIR/cases.json         {schema, seed, mix, cases: [ID...], keys_sha256, version}
     DIR/<ID>/robot.urdf    the nominal model: all that the diagnosis is told of the arm
-    DIR/<ID>/log.parquet   what was measured
+    DIR/<ID>/log.parquet   what was measured; log-2.parquet, .. where there are more files
+    DIR/<ID>/earlier.parquet   an earlier log of the arm, where there is one
     DIR/<ID>/robot.urdf.effects.yaml   rotors, where the maker's data tell them
     DIR/<ID>/answer.json   what the diagnosis said
     DIR.keys.json          {schema, seed, cases: [KEY...]}: what was planted
@@ -40,6 +41,7 @@ _MIXES = {"torque": ("mixed", "release"), "position": ("mixed",)}
 """Of sets of arms, by what their logs have."""
 
 CASES, ROBOT, LOG, ANSWER = "cases.json", "robot.urdf", "log.parquet", "answer.json"
+EARLIER = "earlier.parquet"
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,15 @@ class CaseSet:
         """The nominal model of a case."""
         return self.folder / case / ROBOT
 
-    def log(self, case: str) -> Path:
-        """The log of a case."""
-        return self.folder / case / LOG
+    def logs(self, case: str) -> tuple[Path, ...]:
+        """The log of a case, and its further files in order."""
+        folder = self.folder / case
+        return (folder / LOG, *sorted(folder.glob(f"{Path(LOG).stem}-*.parquet")))
+
+    def earlier(self, case: str) -> Path | None:
+        """The earlier log of a case, if it has one."""
+        path = self.folder / case / EARLIER
+        return path if path.is_file() else None
 
     def answer(self, case: str) -> Path:
         """The answer to a case, which may not be there yet."""
@@ -124,7 +132,7 @@ def read_cases(folder: Path) -> CaseSet:
         # Answers are written beside the logs: never outside of the set.
         if case == ".." or Path(case).name != case:
             raise TorchidError(f"'{path}' names a case that is no folder in the set.", got=case)
-        for file in (cases.robot(case), cases.log(case)):
+        for file in (cases.robot(case), *cases.logs(case)):
             if not file.is_file():
                 raise TorchidError(f"the set '{folder}' is incomplete: there is no '{file}'.")
     return cases
