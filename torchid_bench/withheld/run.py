@@ -19,8 +19,8 @@ from torchid_bench.withheld.case_set import CaseSet
 
 ERROR, REFUSED, LATE = "error", "refused", "out_of_time"
 UNANSWERED = (ERROR, REFUSED, LATE)
-"""Statuses of a case without a diagnosis: it failed, where the command's exit code is 70; its log or
-file is refused with a reason; it took more CPU seconds than it may."""
+"""Statuses of a case without a diagnosis: it failed, where the command's exit code is 70; its log
+or file is refused with a reason; it took more CPU seconds than it may."""
 
 LIMIT = 240.0
 """CPU seconds in which a case is to be answered."""
