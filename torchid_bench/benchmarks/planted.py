@@ -32,7 +32,6 @@ from torchid_bench.withheld.into_logs.planting import (
     SETS,
     SOURCES,
     Bed,
-    classify,
     known_classes,
 )
 from torchid_bench.withheld.run import UNANSWERED, run
@@ -167,7 +166,7 @@ def main(
         bed.plant(effects, sizes)
         cases = bed.cases(effects, sizes)
         if classes:
-            classify(bed, cases, work)
+            bed.classify(cases, work)
         elif not score:
             todo = [bed.job(case, before) for case in (NONE, *cases)]
             for case, answer in run(todo, jobs=jobs, again=again).items():

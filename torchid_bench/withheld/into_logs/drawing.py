@@ -6,16 +6,15 @@ gap (measured torque minus the nominal model's along the measured motion), over 
 leaves on the joint; of the joints the largest counts. A contact is measured over its window alone.
 """
 
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchid.design.columns import together
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Effect, JointEffect, ModelEffect, Motion
 from torchid.effects.inertia import LinkInertia, Payload
@@ -52,30 +51,6 @@ Key = dict[str, Any]
 `felt_by`, from 1, its `size`; its `record` as in a robot's yaml, or names that are `acceptable`."""
 
 
-def generator(*parts: object) -> torch.Generator:
-    """Random numbers that depend on what they are for alone."""
-    text = "/".join(str(p) for p in parts)
-    seed = int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
-    return torch.Generator().manual_seed(seed)
-
-
-def uniform(g: torch.Generator, low: float, high: float) -> float:
-    """Between two numbers."""
-    return low + (high - low) * float(torch.rand(1, generator=g, dtype=torch.float64))
-
-
-def sign(g: torch.Generator) -> float:
-    """1 or -1."""
-    return 1.0 if uniform(g, 0, 1) < 0.5 else -1.0
-
-
-def pick(g: torch.Generator, count: int) -> int:
-    """One of so many; of none a ValueError."""
-    if not count:
-        raise ValueError("there is no place for it on this arm")
-    return int(torch.randint(count, (1,), generator=g))
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """Where effects are drawn.
@@ -108,16 +83,6 @@ class Scene:
         # 8.0: band in which sizes are measured [Hz]
         band, left = min(8.0, 0.4 * rate), torch.tensor(noise, dtype=torch.float64)
         return cls(robot, tuple(motions), left, rate, band)
-
-    @property
-    def together(self) -> Motion:
-        """All motions in one piece."""
-        return together(self.motions)
-
-    @property
-    def fast(self) -> Tensor:
-        """(n,) 99 % speed."""
-        return self.together.dq.abs().quantile(0.99, dim=0)
 
 
 def gap(scene: Scene, effect: Effect, values: Sequence[float]) -> list[Tensor]:
@@ -174,30 +139,30 @@ class Planted:
         }
 
 
-def drawn(scene: Scene, name: str, size: float, g: torch.Generator, joint: int) -> Planted | None:
+def drawn(
+    scene: Scene, name: str, size: float, rng: np.random.Generator, joint: int
+) -> Planted | None:
     """An effect of this name on a joint, from 0, about as large as asked for, or as large as makes
     sense; None where there is none."""
     best: Planted | None = None
+    least = math.inf
     for _ in range(TRIES):
-        one = _scaled(scene, name, size, g, joint)
-        if one is not None and well_posed(scene, one):
-            if best is None or _off(one, size) < _off(best, size):
-                best = one
-            if _off(best, size) < 0.1:
-                break
+        one = _scaled(scene, name, size, rng, joint)
+        if one is None or not well_posed(scene, one):
+            continue
+        if (off := abs(math.log(one.size / size))) < least:
+            best, least = one, off
+        if least < 0.1:
+            break
     return best
 
 
-def _off(planted: Planted, size: float) -> float:
-    return abs(math.log(planted.size / size))
-
-
 def well_posed(scene: Scene, planted: Planted) -> bool:
-    """Whether what was drawn is a cause: it makes torque, no spring pushes away from its rest
+    """Whether what was drawn is a cause: it shows, no spring pushes away from its rest
     position, and the joint passes through a period of a wave once at least."""
     effect = planted.effect
-    # 1e-3: size below which an effect is none, over what the model leaves
-    if not planted.size > 1e-3 or not any(planted.values):
+    # 0.5: size below which an effect is none, over what the model leaves
+    if not planted.size > 0.5 or not any(planted.values):
         return False
     if isinstance(effect, JointSpring):
         return planted.values[0] > 0
@@ -206,22 +171,24 @@ def well_posed(scene: Scene, planted: Planted) -> bool:
     return True
 
 
-def _scaled(scene: Scene, name: str, size: float, g: torch.Generator, joint: int) -> Planted | None:
+def _scaled(
+    scene: Scene, name: str, size: float, rng: np.random.Generator, joint: int
+) -> Planted | None:
     """Random shapes and coefficients, and these in proportion to the size that they make; None
     where there is no place for the effect on this arm."""
     kind = KINDS[name]
     if issubclass(kind, JointEffect):
-        effect: Effect = kind(joint, **_shapes(scene, kind, g, joint))
+        effect: Effect = kind(joint, **_shapes(scene, kind, rng, joint))
     elif issubclass(kind, Contact):
-        effect = _contact(scene, g)
+        effect = _contact(scene, rng)
     else:
         assert issubclass(kind, ModelEffect)
         places = [c for c in kind.candidates(scene.robot) if c.joints[:1] in ((), (joint,))]
         if not places:
             return None
-        effect = places[pick(g, len(places))]
+        effect = places[rng.integers(len(places))]
     body = isinstance(effect, Payload | LinkInertia)
-    values = _body(g) if body else _coefficients(scene, effect, g)
+    values = _body(rng) if body else _coefficients(scene, effect, rng)
     most = CAPS.get(name, math.inf) / max(1e-300, *(abs(v) for v in values))
     scale, out = min(1.0, most), None
     # 4: most effects are linear, and those of a phase nearly so
@@ -233,48 +200,49 @@ def _scaled(scene: Scene, name: str, size: float, g: torch.Generator, joint: int
     return out
 
 
-def _coefficients(scene: Scene, effect: Effect, g: torch.Generator) -> list[float]:
+def _coefficients(scene: Scene, effect: Effect, rng: np.random.Generator) -> list[float]:
     """Random coefficients, each of which makes about as much torque as the others; friction that is
     added resists."""
     motions = [m._replace(age=torch.zeros_like(m.q)) for m in scene.motions]
     columns = torch.cat([effect.torque_columns(m, scene.robot) for m in motions])
     length = (columns.square().mean(0).sqrt() / scene.noise.unsqueeze(1)).amax(0).tolist()
     resists = effect.branch == "friction"
-    signs = [1.0 if resists or c.non_negative else sign(g) for c in effect.coefficients]
+    signs = [
+        1.0 if resists or c.non_negative else rng.choice([-1.0, 1.0]) for c in effect.coefficients
+    ]
     return [
-        s * uniform(g, 0.5, 1.5) / x if x > 1e-9 * max(length) else 0.0
+        float(s * rng.uniform(0.5, 1.5) / x) if x > 1e-9 * max(length) else 0.0
         for s, x in zip(signs, length, strict=True)
     ]
 
 
 def _shapes(
-    scene: Scene, kind: type[JointEffect], g: torch.Generator, joint: int
+    scene: Scene, kind: type[JointEffect], rng: np.random.Generator, joint: int
 ) -> dict[str, float]:
     """Within the grid's ends, in ratios where these are positive."""
     out = {}
     for shape in kind.shapes:
         low, high = min(shape.grid), max(shape.grid)
-        drawn = uniform(g, low, high) if low <= 0 else low * (high / low) ** uniform(g, 0.0, 1.0)
+        drawn = rng.uniform(low, high) if low <= 0 else low * (high / low) ** rng.uniform()
         out[shape.name] = shape.size(scene.motions, joint) * drawn
     return out
 
 
-def _contact(scene: Scene, g: torch.Generator) -> Contact:
+def _contact(scene: Scene, rng: np.random.Generator) -> Contact:
     """A window of half a second to two, in one of the motions."""
-    t = scene.motions[pick(g, len(scene.motions))].require("t", "a contact")
-    length = uniform(g, 0.5, 2.0)
-    start = uniform(g, float(t[0]) + 1.0, float(t[-1]) - 1.0 - length)
+    t = scene.motions[rng.integers(len(scene.motions))].require("t", "a contact")
+    length = rng.uniform(0.5, 2.0)
+    start = rng.uniform(float(t[0]) + 1.0, float(t[-1]) - 1.0 - length)
     return Contact(start, start + length)
 
 
-def _body(g: torch.Generator) -> list[float]:
+def _body(rng: np.random.Generator) -> list[float]:
     """Ten parameters of a box of one kilogram, 15 cm at most from its link's frame."""
-    way = torch.randn(3, generator=g, dtype=torch.float64)
-    centre = way / way.norm() * 0.15 * uniform(g, 0, 1) ** (1 / 3)
-    sides = torch.tensor([uniform(g, 0.03, 0.15) for _ in range(3)], dtype=torch.float64)
-    squares = sides.square() / 12
-    principal = torch.diag(squares.sum() - squares)
-    turned, _ = torch.linalg.qr(torch.randn(3, 3, generator=g, dtype=torch.float64))
-    inertia = six(turned @ principal @ turned.T)
+    way = rng.standard_normal(3)
+    centre = 0.15 * rng.uniform() ** (1 / 3) * way / np.linalg.norm(way)
+    squares = rng.uniform(0.03, 0.15, 3) ** 2 / 12
+    turned = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    inertia = six(torch.from_numpy(turned * (squares.sum() - squares) @ turned.T))
     mass = torch.ones(1, dtype=torch.float64)
-    return InertialParameters.from_com(mass, centre[None], inertia[None]).pi[0].tolist()
+    body = InertialParameters.from_com(mass, torch.from_numpy(centre)[None], inertia[None])
+    return body.pi[0].tolist()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from torchid.design.columns import together
 from torchid.dynamics.newton_euler import joint_wrenches
 from torchid.robot.jacobian import tool_jacobian
 from torchid.robot.model import Robot, tool_pose
@@ -147,7 +148,7 @@ FORMS: Mapping[str, Form] = {
 def formed(scene: Scene, name: str, size: float, joint: int) -> tuple[list[torch.Tensor], Key]:
     """Torques of a form on the scene's grid, and its key; its size is over what the joint that
     feels it most leaves, while it acts."""
-    form, every = FORMS[name], scene.together
+    form, every = FORMS[name], together(scene.motions)
     ends = np.cumsum([0, *(len(m.q) for m in scene.motions)]).tolist()
     motions = [slice(a, b) for a, b in itertools.pairwise(ends)]
     signals = (*every.state, every.require("torque", "a form"))

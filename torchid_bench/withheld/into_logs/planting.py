@@ -13,7 +13,7 @@ scored sees the same torques, whatever has become of the code that fits a model 
 
 import gzip
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchid.design.columns import together
 from torchid.effects.registry import KINDS, effect_from_record
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
@@ -34,15 +35,7 @@ from torchid.robot.writer import write_robot
 from torchid.withheld.planted import with_torque
 from torchid.yaml_data import parsed_yaml
 from torchid_bench.withheld.case_set import LOG
-from torchid_bench.withheld.into_logs.drawing import (
-    Key,
-    Planted,
-    Scene,
-    drawn,
-    gap,
-    generator,
-    pick,
-)
+from torchid_bench.withheld.into_logs.drawing import Key, Planted, Scene, drawn, gap
 from torchid_bench.withheld.into_logs.forms import FORMS, formed
 from torchid_bench.withheld.oracle.classes import Class, Truth, already_there, in_practice
 from torchid_bench.withheld.oracle.library import half_of
@@ -77,6 +70,10 @@ class Source:
     gain: Sequence[float] = ()
     left: Sequence[float] = ()
 
+    def settings(self, background: tuple[str, ...] = ()) -> GapSettings:
+        """Of a diagnosis."""
+        return GapSettings(cutoff=self.cutoff or "auto", background=background)
+
     def halves(self, data: Path) -> tuple[Robot, Log, Log]:
         """The arm without parameters, the log of its model, and the one that is asked."""
         robot = load_robot(data / self.robot, tip=self.tip)
@@ -97,26 +94,17 @@ class Bed:
     """A real log with its model.
 
     Attributes:
-        label: of the source.
+        label, source: where it is from.
         folder: of its files.
         robot: the model.
         asked: the log that effects are planted into.
     """
 
     label: str
+    source: Source
     folder: Path
     robot: Robot
     asked: Log
-
-    @property
-    def source(self) -> Source:
-        """Where it is from."""
-        return SOURCES[self.label]
-
-    @property
-    def settings(self) -> GapSettings:
-        """Of a diagnosis."""
-        return GapSettings(cutoff=self.source.cutoff or "auto")
 
     @classmethod
     def of(cls, label: str, data: Path, work: Path) -> "Bed":
@@ -131,10 +119,10 @@ class Bed:
             if kept.exists():
                 model.write_bytes(gzip.decompress(kept.read_bytes()))
             else:
-                settings = GapSettings(cutoff=source.cutoff or "auto", background=FRICTION)
-                write_robot(diagnose_torque(rigid, first, settings=settings).corrected, model)
+                found = diagnose_torque(rigid, first, settings=source.settings(FRICTION))
+                write_robot(found.corrected, model)
             write_log(second, log)  # at last: what is there is whole
-        return cls(label, folder, load_robot(model), read_log(log))
+        return cls(label, source, folder, load_robot(model), read_log(log))
 
     def cases(self, effects: Sequence[str], sizes: Sequence[float]) -> list[str]:
         """Names of what was planted, of these effects and sizes, in this order."""
@@ -150,8 +138,8 @@ class Bed:
         folder = self.folder / case
         answer = folder / ("before.json" if before else "answer.json")
         earlier = self.folder / "first.parquet" if before else None
-        model = self.folder / "model.yaml"
-        return Job(f"{self.label}-{case}", model, (folder / LOG,), answer, self.settings, earlier)
+        model, settings = self.folder / "model.yaml", self.source.settings()
+        return Job(f"{self.label}-{case}", model, (folder / LOG,), answer, settings, earlier)
 
     def plant(self, effects: Sequence[str], sizes: Sequence[float]) -> None:
         """Plant what is not there yet, on joints that move."""
@@ -160,21 +148,23 @@ class Bed:
         # 125.0: rate at which sizes are measured [Hz]
         coarse, fine = (Scene.of(self.robot, self.asked, left, rate) for rate in (125.0, 1e6))
         missing = prepare(self.robot, self.asked, None).missing
-        moving = [j for j, speed in enumerate(coarse.fast.tolist()) if speed > 0.02]
+        # 0.02: speed of a joint that moves [rad/s; m/s]
+        fast = together(coarse.motions).dq.abs().quantile(0.99, dim=0)
+        moving = (fast > 0.02).nonzero().flatten().tolist()
         stored = known_classes()
         for name, size in itertools.product(effects, sizes):
             case = f"{name}-{size:g}"
             untestable = name in KINDS and KINDS[name].needs & missing
             if untestable or (self.folder / case / "key.json").exists():
                 continue
-            g = generator("planted", self.label, name)
-            joint, late = moving[pick(g, len(moving))], 0.0
+            rng = np.random.default_rng([*f"{self.label}/{name}".encode()])
+            joint, late = int(rng.choice(moving)), 0.0
             if name in FORMS:
                 added, key = formed(fine, name, size, joint)
             else:
                 record = stored.get(f"{self.label}-{case}", {}).get("planted")
                 if record is None:
-                    planted = drawn(coarse, name, size, g, joint)
+                    planted = drawn(coarse, name, size, rng, joint)
                 else:
                     planted = Planted.of(coarse, *effect_from_record(record, self.robot))
                 if planted is None:
@@ -188,18 +178,22 @@ class Bed:
                 write_log(log, self.folder / case / LOG)
                 write_json(key, self.folder / case / "key.json")
 
-    def classes(self, cases: Sequence[str]) -> Iterator[tuple[str, Class]]:
-        """What the oracle says of cases, each with its record."""
+    def classify(self, cases: Sequence[str], work: Path) -> None:
+        """Ask the oracle of those cases that have no class yet; what it says is kept in `work`."""
+        known = known_classes(work)
+        cases = [case for case in cases if f"{self.label}-{case}" not in known]
         bare = half_of(self.robot, self.asked, self.source.cutoff)
-        there = already_there(bare)
+        there = already_there(bare) if cases else []
         for case in cases:
             key, log = self.key(case), read_log(self.folder / case / LOG)
             planted = half_of(self.robot, log, like=bare)
             names = [key["name"], *key.get("acceptable", ())]
             joints = [j - 1 for j in (*key["joints"], *key["felt_by"])]
             truth = Truth.of(names, joints, planted, bare)
-            known = in_practice(planted, bare, [truth], there)[0]
-            yield case, known | {"planted": key.get("record"), "size": round(key["size"], 3)}
+            (one,) = in_practice(planted, bare, [truth], there)
+            one |= {"planted": key.get("record"), "size": round(key["size"], 3)}
+            known[f"{self.label}-{case}"] = one
+            write_json(known, work / "classes.json")  # at once: a night may be interrupted
 
 
 def with_late_velocities(log: Log, lag: float) -> Log:
@@ -219,12 +213,3 @@ def known_classes(work: Path | None = None) -> dict[str, Class]:
     files = [place / "classes.json" for place in reversed(places)]
     parts = [read_json(file, "classes") for file in files if file.exists()]
     return {case: one for part in parts for case, one in part.items()}
-
-
-def classify(bed: Bed, cases: Sequence[str], work: Path) -> None:
-    """Classes of those cases that have none yet, kept in `work`."""
-    known = known_classes(work)
-    asked = [case for case in cases if f"{bed.label}-{case}" not in known]
-    for case, one in bed.classes(asked) if asked else ():
-        known[f"{bed.label}-{case}"] = one
-        write_json(known, work / "classes.json")  # at once: a night's run may be interrupted
