@@ -144,12 +144,15 @@ def table(
     rows: Iterable[Sequence[object]],
     file: Path | None = None,
     before: str = "",
+    page: Path | None = None,
 ) -> None:
-    """Print a table of Markdown, and write it to a file with a text before it."""
+    """Print a table of Markdown, and write it to a file with a text before it, or into a page."""
     from torchid.report.table import pipe_table
 
     text = f"\n{pipe_table(head, rows)}\n"
     print(text, flush=True)
+    if page is not None:
+        replace_table(page, text.strip().splitlines())
     if file is not None:
         file.write_text(f"{before}\n{text}")
 

@@ -122,8 +122,7 @@ class Planted:
         every = torch.cat([low.apply(x.T).T for x in gap(scene, effect, values)])
         each = every.square().mean(0).sqrt() / scene.noise
         if isinstance(effect, Contact) and effect.start is not None and effect.stop is not None:
-            lasting = len(every) / scene.rate
-            each = each * math.sqrt(lasting / (effect.stop - effect.start))
+            each = each * math.sqrt(len(every) / scene.rate / (effect.stop - effect.start))
         felt = {int(k) for k in (each > 1).nonzero().flatten()} | set(effect.joints)
         return cls(effect, list(values), float(each.max()), tuple(sorted(felt)))
 

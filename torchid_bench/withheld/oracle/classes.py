@@ -214,8 +214,7 @@ def ranked(
     whose one coefficient would be one that no arm has."""
     of = base.fit(effective)
     weight, left, best = effective / of.losses, base.left(of), dict[object, Any]()
-    for group in groups:
-        x, some = group.columns, group.candidates
+    for some, x in groups:
         felt = list(some[0].felt)
         w = weight[felt]
         count = len(some), x.shape[1] // len(some)

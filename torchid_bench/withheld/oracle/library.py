@@ -108,12 +108,8 @@ def half_of(robot: Robot, log: Log, cutoff: float | None = None, like: Half | No
 
 def same_columns(one: Columns, other: Columns) -> bool:
     """Whether two have the same model and motion, so that effects have the same columns in both."""
-    pairs = list(zip(one.motions, other.motions, strict=False))
-    return len(one.motions) == len(other.motions) and all(
-        a is None or (b is not None and a.shape == b.shape and torch.equal(a, b))
-        for pair in pairs
-        for a, b in zip(*pair, strict=True)
-    )
+    signals = [[x for m in c.motions for x in m if x is not None] for c in (one, other)]
+    return len(signals[0]) == len(signals[1]) and all(map(torch.equal, *signals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,17 +165,9 @@ class Candidate:
         return out, into
 
 
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Candidates with equally many coefficients, S of them, that the same m joints feel.
-
-    Attributes:
-        candidates: which.
-        columns: (m, S C, N).
-    """
-
-    candidates: list[Candidate]
-    columns: np.ndarray
+Group = tuple[list[Candidate], np.ndarray]
+"""Candidates with equally many coefficients, S of them, that the same m joints feel; and their
+columns (m, S C, N)."""
 
 
 def grouped(candidates: Sequence[Candidate]) -> list[Group]:
@@ -188,7 +176,7 @@ def grouped(candidates: Sequence[Candidate]) -> list[Group]:
     for c in candidates:
         groups.setdefault((c.felt, len(c.columns)), []).append(c)
     return [
-        Group(some, np.concatenate([c.columns for c in some]).transpose(1, 0, 2).copy())
+        (some, np.concatenate([c.columns for c in some]).transpose(1, 0, 2).copy())
         for some in groups.values()
     ]
 
