@@ -47,6 +47,7 @@ def make_command(
     kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
     robots: Literal["arms", "tree", "quadruped", "two_arms", "torso"] = "arms",
+    background: Annotated[float | None, typer.Option(min=0.0)] = None,
     keys: opt.Written = None,
     workers: Workers,
     output: Printed,
@@ -62,14 +63,16 @@ def make_command(
         kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
         robots: Arms; robots that branch, their base held in the air; or one of these.
+        background: Small things that every arm has: as large, after all usual laws are fitted, as
+            so many times a cause.
     """
     from torchid_bench.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress, staged(None):  # what a stopped one has made is kept
         made = make(
-            out, cases, seed, kind=kind, mix=mix, robots=robots, keys=sealed,
-            jobs=workers.count, progress=progress,
+            out, cases, seed, kind=kind, mix=mix, robots=robots, background=background,
+            keys=sealed, jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},

@@ -70,6 +70,13 @@ MIXES = {
     # effect half have noise that is coloured or grows with speed.
     "release": Mix(_block(none=4, single=8, outside=4, several=3), KINDS, REDRAWN),
     # Of commands and positions.
+    # With a background, on motions as people record them.
+    "background": Mix(
+        _block(none=4, single=12, several=4, outside=4),
+        # What has no quasi-static form: a gear between its flanks; velocities are differences.
+        {name: kind for name, kind in KINDS.items() if name not in ("backlash", "filter_lag")},
+        REDRAWN,
+    ),
     "position": Mix(
         _block(none=5, single=9, several=2, outside=4),
         SERVO_KINDS,
@@ -140,6 +147,19 @@ class ServoSpec(CaseSpec):
 
 
 @dataclass(frozen=True)
+class BackgroundSpec(CaseSpec):
+    """A case of an arm with a background; its effects get their joints once its motion is known.
+
+    Attributes:
+        background: what a fit of all usual laws leaves, of a cause of standard size.
+        earlier: whether there is an earlier log of other motion, without the effects.
+    """
+
+    background: float
+    earlier: bool
+
+
+@dataclass(frozen=True)
 class TorqueSpec(CaseSpec):
     """A case of an arm whose controllers are told torques.
 
@@ -176,6 +196,7 @@ def draw_case(
     arm: str | None = None,
     mix: str = "mixed",
     robots: str = "arms",
+    background: float = 0.0,
 ) -> CaseSpec:
     """A case from a seed and its number; what is given is not drawn.
 
@@ -189,6 +210,7 @@ def draw_case(
         mix: of the set: `mixed` or `release`; `position` for arms of servos, `tree` and
             `tree_position` for robots that branch.
         robots: that the arm is drawn from: `arms`, `tree`, or one that branches.
+        background: of the mix `background`, of a cause of standard size.
 
     Raises:
         TorchidError: an unknown mix, kind, effect or arm.
@@ -211,6 +233,16 @@ def draw_case(
     elif effects is None and kind in ("single", "outside"):
         names, salt = (own.library, 104) if kind == "single" else (own.foreign, 103)
         effects = (in_turn(seed, turn, names, salt),)
+    if mix == "background":
+        rng = np.random.default_rng([seed, number, 1])
+        if effects is None:
+            names = [name for name in own.library if name in _SEVERAL]
+            effects = tuple(rng.choice(names, 2, replace=False).tolist())
+        placed = tuple(EffectSpec(str(name), (), {}) for name in effects)
+        name = arm or str(rng.choice(ROBOTS[robots]))
+        return BackgroundSpec(
+            seed, number, kind, arm_named(name).name, placed, background, turn % 2 == 0
+        )
     if own.servos:
         return _servo_case(seed, number, kind, effects, arm, ROBOTS[robots])
     return _torque_case(
