@@ -16,7 +16,6 @@ STEP = 2e-3
 """Of the instants at which torques are computed [s]."""
 
 _SLIDES = 5e-3  # rad/s over which friction of a motor that turns with two joints comes in
-_BENT = 4  # rounds that find how far what gives way is bent
 
 
 @dataclass(frozen=True)
@@ -85,11 +84,8 @@ def slipping(q: Array, lengths: Array) -> Array:
 def torque_along(plan: Plan, path: Path, before: Array | None = None) -> Array:
     """Torque (T, n) of the motors [N m].
 
-    What gives way (gears, a base) is bent as far as its spring holds what is behind it, without the
-    resonance, which no motion here comes near.
-
     Args:
-        plan: the arm with its effects, their sensors left out.
+        plan: the arm with its effects, their sensors left out; nothing in it gives way.
         path: of the motors.
         before: (T, n) torque of the arm without its laws, as a law may need it; computed if None.
     """
@@ -121,51 +117,31 @@ def rigid_along(plan: Plan, path: Path) -> Array:
 
 
 def _inverse(plant: Plant, path: Path, q: Array) -> Array:
-    """MuJoCo's inverse dynamics (T, n) of the motors, and of what gives way."""
+    """MuJoCo's inverse dynamics (T, n) of what is smooth."""
     zero = np.zeros(plant.n)
-    model, motors = compiled(plant, zero, zero, 1e-3)
+    model, _ = compiled(plant, zero, zero, 1e-3)
     data, inverse = mujoco().MjData(model), mujoco().mj_inverse
-    give = np.setdiff1d(np.arange(model.nv), motors)
-    states = [np.zeros((len(q), model.nv)) for _ in range(3)]
-    for x, own in zip(states, (q, path.dq, path.ddq), strict=True):
-        x[:, motors] = own
-    stiffness = _stiffness(plant, model, give)
-    out = np.empty((len(q), model.nv))
-    for _ in range(_BENT if len(give) else 1):
-        for k, (position, velocity, acceleration) in enumerate(zip(*states, strict=True)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = position, velocity, acceleration
-            inverse(model, data)
-            out[k] = data.qfrc_inverse
-        if len(give):
-            # Nothing drives it: what is missing there bends it further.
-            x = low_passed(states[0][:, give] - out[:, give] / stiffness, path.step)
-            for state in states:
-                state[:, give] = x
-                x = np.gradient(x, path.step, axis=0)
-    return out[:, motors]
-
-
-def _stiffness(plant: Plant, model: object, give: Array) -> Array:
-    """(k,) of what gives way, in the order of its degrees of freedom [N m/rad]."""
-    names = [model.joint(int(model.dof_jntid[d])).name for d in give]  # type: ignore[attr-defined]
-    gears = {f"gear{d.joint}": d.stiffness for d in plant.drives}
-    mount = 1.0 if plant.mount is None else plant.mount.stiffness
-    return np.array([gears.get(name, mount) for name in names])
+    out = np.empty_like(q)
+    for k, (position, velocity, acceleration) in enumerate(zip(q, path.dq, path.ddq, strict=True)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = position, velocity, acceleration
+        inverse(model, data)
+        out[k] = data.qfrc_inverse
+    return out
 
 
 def _pushed(plant: Plant, q: Array, force: Array) -> Array:
     """Torque (T, n) of forces (T, 3) at the tool [N]."""
     zero = np.zeros(plant.n)
-    model, motors = compiled(plant, zero, zero, 1e-3)
+    model, _ = compiled(plant, zero, zero, 1e-3)
     module, data = mujoco(), mujoco().MjData(model)
     tool, jacobian = model.body("tool").id, np.zeros((3, model.nv))
     out = np.zeros_like(q)
     for k in np.flatnonzero(force.any(1)):
-        data.qpos[motors] = q[k]
+        data.qpos[:] = q[k]
         module.mj_kinematics(model, data)
         module.mj_comPos(model, data)
         module.mj_jacBody(model, data, jacobian, None, tool)
-        out[k] = (jacobian.T @ force[k])[motors]
+        out[k] = jacobian.T @ force[k]
     return out
 
 

@@ -59,6 +59,9 @@ def _block(**cases: int) -> tuple[str, ...]:
 # Of several tips none is `the` one that a payload is on: what a hand carries is its link's.
 _ON_TREES = {name: kind for name, kind in KINDS.items() if name != "payload"}
 
+_DYNAMIC = ("backlash", "joint_elasticity", "flexible_base", "filter_lag")
+"""What bends gives way too little on slow motions; velocities are differences there in any case."""
+
 MIXES = {
     # Of every sort, for development.
     "mixed": Mix(
@@ -73,9 +76,8 @@ MIXES = {
     # With a background, on motions as people record them.
     "background": Mix(
         _block(none=4, single=12, several=4, outside=4),
-        # What has no quasi-static form: a gear between its flanks; velocities are differences.
-        {name: kind for name, kind in KINDS.items() if name not in ("backlash", "filter_lag")},
-        REDRAWN,
+        {name: kind for name, kind in KINDS.items() if name not in _DYNAMIC},
+        tuple(name for name in REDRAWN if name not in _DYNAMIC),
     ),
     "position": Mix(
         _block(none=5, single=9, several=2, outside=4),
@@ -228,6 +230,7 @@ def draw_case(
         raise TorchidError(f"unknown kind of case '{kind}'.", available=sorted(set(own.block)))
     turn = turn_of(seed, number, kind, own.block)
     # None, or one of which each comes once before any comes twice.
+    names: Sequence[str]
     if effects is None and kind == "none":
         effects = ()
     elif effects is None and kind in ("single", "outside"):
