@@ -1,10 +1,10 @@
-"""What may be in the second half of a real log: its gap, effects at their places, what is left open.
+"""What may be in a log: its gap, effects at their places, what is left open.
 
-Beforehand no term has a torque much larger than the gap of any joint, nor a coefficient that is on no
-arm (g-priors: Zellner 1986); the model's own are as far from its values as is known of them.
+Beforehand no term has a torque much larger than the gap of any joint, nor a coefficient that is on
+no arm (g-priors: Zellner 1986); the model's own are as far from its values as is known of them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,7 +27,7 @@ from torchid.identification.logs import prepared
 from torchid.log.model import Log
 from torchid.log.sampling import at_rate
 from torchid.robot.model import Robot
-from torchid_bench.benchmarks.planted_evidence import Gap, Terms, independent
+from torchid_bench.withheld.oracle.evidence import Gap, Terms, independent
 
 TIMES_GAP = 2.0
 """Torque of a term beforehand, one standard deviation, over the gap of a joint [1]."""
@@ -35,14 +35,15 @@ TIMES_GAP = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Half:
-    """The second half of a log.
+    """A log, or a part of one, as samples.
 
     Attributes:
-        columns: of the model as the first half makes it.
+        columns: of the model.
         keep: (n, N) samples in which the joint moves.
         torque: (n,) measured, RMS over these [N m; N].
         gap: to be explained.
         wide: band of the segments [Hz].
+        alike: another one of the same model and motion, which has the same library; None if none.
     """
 
     columns: Columns
@@ -50,9 +51,11 @@ class Half:
     torque: np.ndarray
     gap: Gap
     wide: float
+    alike: "Half | None" = None
 
     @property
     def robot(self) -> Robot:
+        """The arm."""
         return self.columns.model.robot
 
     @cached_property
@@ -64,10 +67,26 @@ class Half:
         """(n,) of samples (n, N), over those that count."""
         return np.sqrt((x**2 * self.keep).sum(1) / np.maximum(self.gap.rows, 1.0))
 
+    @cached_property
+    def library(self) -> "list[Group]":
+        """All that may be in it."""
+        return grouped(library(self)) if self.alike is None else self.alike.library
 
-def half_of(robot: Robot, log: Log, cutoff: float | None, like: Half | None = None) -> Half:
-    """A log as samples in a band, that of another half of the same motion if there is one."""
-    robot = whole_arm(robot)
+    def explaining(self, y: np.ndarray) -> "Half":
+        """The same where another torque (n, N) is to be explained [N m; N]."""
+        alike = self.alike or self
+        return replace(self, gap=replace(self.gap, y=y * self.keep), alike=alike)
+
+
+def half_of(robot: Robot, log: Log, cutoff: float | None = None, like: Half | None = None) -> Half:
+    """A log as samples in a band, that of another one of the same motion if there is one.
+
+    Args:
+        robot: the arm as its file has it.
+        log: with torques.
+        cutoff: of the band [Hz]; the default's if None.
+        like: the other one.
+    """
     even, _ = prepared(log, robot, standing=True, force=True)
     even = at_rate(even, min(even.rates))
     if like is None:
@@ -83,17 +102,23 @@ def half_of(robot: Robot, log: Log, cutoff: float | None, like: Half | None = No
         if s.length > 4 * EDGE * s.rate / narrow
     ]
     samples = Samples(segments, narrow)
-    columns, keep = Columns(Model.of(robot), samples), moving_samples(samples).numpy()
+    columns, keep = Columns(Model.of(whole_arm(robot)), samples), moving_samples(samples).numpy()
     tau = samples.of([s.tau.T for s in segments]).numpy()
     rows = keep.sum(1).astype(float)
-    # 5: stretches of a log that are held out, each in turn, where it has less than three
-    # trajectories
-    parts = [np.arange(b.stop - b.start) * 5 // (b.stop - b.start) for b in samples.bounds]
-    if len(parts) >= 3:
-        parts = [np.full(len(p), k) for k, p in enumerate(parts)]
-    gap = Gap(columns.gap.numpy() * keep, rows, samples.bounds, np.concatenate(parts))
+    gap = Gap(columns.gap.numpy() * keep, rows, samples.bounds)
     torque = np.sqrt((tau**2 * keep).sum(1) / np.maximum(rows, 1.0))
-    return Half(columns, keep, torque, gap, wide)
+    same = like is not None and same_columns(columns, like.columns)
+    return Half(columns, keep, torque, gap, wide, like if same else None)
+
+
+def same_columns(one: Columns, other: Columns) -> bool:
+    """Whether two have the same model and motion, so that effects have the same columns in both."""
+    pairs = list(zip(one.motions, other.motions, strict=False))
+    return len(one.motions) == len(other.motions) and all(
+        a is None or (b is not None and a.shape == b.shape and torch.equal(a, b))
+        for pair in pairs
+        for a, b in zip(*pair, strict=True)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,12 +146,6 @@ class Candidate:
         """Effect and place, whatever the shape."""
         return self.name, *(e.identity for e in self.effects)
 
-    def is_of(self, key: dict[str, Any]) -> bool:
-        """Whether this was planted, or is a part of it."""
-        places = {*key["joints"], *key["felt_by"]}
-        near = not self.joints or not places or bool(places & set(self.joints))
-        return near and key["effect"] in [e.name for e in self.effects]
-
     def written(self) -> list[Any]:
         """As in the file: name and joints, from 1."""
         return [self.name, [j + 1 for j in self.joints]]
@@ -137,29 +156,72 @@ class Candidate:
         std = 2.0 * np.sqrt(covariance.diagonal())
         return (value < self.low - std) | (value > self.high + std)
 
-    def precision(self, half: Half, products: np.ndarray | None = None) -> np.ndarray:
-        """(C, C) of its coefficients beforehand, see `TIMES_GAP`; `products` (m, C, C) of its
-        columns with each other, joint by joint, where they are known."""
-        if products is None:
-            x = self.columns.transpose(1, 0, 2)
-            products = x @ x.transpose(0, 2, 1)
+    @cached_property
+    def products(self) -> np.ndarray:
+        """(m, C, C) of its columns with each other, joint by joint."""
+        x = self.columns.transpose(1, 0, 2)
+        return x @ x.transpose(0, 2, 1)
+
+    def precision(self, half: Half) -> np.ndarray:
+        """(C, C) of its coefficients beforehand, see `TIMES_GAP`."""
         felt = list(self.felt)
         size = np.maximum(half.gap.rows[felt], 1.0) * (TIMES_GAP * half.size[felt]) ** 2
         most = np.maximum(np.abs(self.low), np.abs(self.high)) / 2
-        return np.tensordot(1 / size, products, 1) + np.diag(np.maximum(most, 1e-300) ** -2.0)
+        return np.tensordot(1 / size, self.products, 1) + np.diag(np.maximum(most, 1e-300) ** -2.0)
 
     def scaled(self, half: Half) -> tuple[np.ndarray, np.ndarray]:
         """Columns (K, n, N) on all joints per standard deviation, and T (C, K)."""
         into = independent(self.precision(half))
+        into = into[:, into.any(0)]
         out = np.zeros((into.shape[1], len(half.size), self.columns.shape[-1]))
         out[:, list(self.felt)] = np.tensordot(into.T, self.columns, 1)
         return out, into
 
 
-def candidate(half: Half, effects: Sequence[Effect], *, common: bool = False) -> Candidate:
-    """Effects with their columns; `common` where they share their coefficients."""
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Candidates with equally many coefficients, S of them, that the same m joints feel.
+
+    Attributes:
+        candidates: which.
+        columns: (m, S C, N).
+    """
+
+    candidates: list[Candidate]
+    columns: np.ndarray
+
+    @property
+    def felt(self) -> list[int]:
+        """The joints, from 0."""
+        return list(self.candidates[0].felt)
+
+    def precisions(self, half: Half) -> np.ndarray:
+        """(S, C, C)."""
+        return np.stack([c.precision(half) for c in self.candidates])
+
+
+def grouped(candidates: Sequence[Candidate]) -> list[Group]:
+    """All candidates, in groups."""
+    groups: dict[object, list[Candidate]] = {}
+    for c in candidates:
+        groups.setdefault((c.felt, len(c.columns)), []).append(c)
+    return [
+        Group(some, np.concatenate([c.columns for c in some]).transpose(1, 0, 2).copy())
+        for some in groups.values()
+    ]
+
+
+Felt = tuple[Place, torch.Tensor]
+"""Columns of an effect: (C, N) on one joint, or (C, n, N) on all."""
+
+
+def candidate(
+    half: Half, effects: Sequence[Effect], *, common: bool = False, every: Sequence[Felt] = ()
+) -> Candidate:
+    """Effects with their columns; `common` where they share their coefficients; `every` is what
+    they are, where they are known."""
     columns, robot = half.columns, half.robot
-    every: list[tuple[Place, torch.Tensor]] = [
+    every = every or [
         (None, columns.regressor[e.link(robot)])
         if isinstance(e, Payload | LinkInertia)
         else columns.of(e)
@@ -191,12 +253,17 @@ def shaped(
 ) -> list[Candidate]:
     """An effect on a joint with each of some shapes (S, P)."""
     names = [s.name for s in kind.shapes]
-    every = (dict(zip(names, v, strict=True)) for v in shapes.tolist())
-    return [candidate(half, [kind(joint, **given)]) for given in every]
+    each = (dict(zip(names, v, strict=True)) for v in shapes.tolist())
+    x = half.columns.of_shapes(kind, joint, shapes) if len(shapes) else ()
+    every = [[(joint, own)] for own in x]
+    return [
+        candidate(half, [kind(joint, **given)], every=own)
+        for given, own in zip(each, every, strict=True)
+    ]
 
 
-def restored(half: Half, records: Sequence[dict[str, Any]]) -> Candidate:
-    """What was there already, as the file has it."""
+def restored(half: Half, records: Sequence[Mapping[str, Any]]) -> Candidate:
+    """What was there already, from its records."""
     effects = [effect_from_record(r, half.robot)[0] for r in records]
     alike = len({e.name for e in effects}) == 1
     return candidate(half, effects, common=alike and len(effects) > 1)
@@ -221,7 +288,10 @@ def library(half: Half) -> list[Candidate]:
                 out += shaped(half, kind, j, kind.grid(columns.motions, j, samples.cutoff))
         else:
             assert issubclass(kind, ModelEffect)
-            out += [candidate(half, [e]) for e in kind.starts(robot)]
+            starts: list[Any] = [*kind.starts(robot)]
+            body = issubclass(kind, Payload | LinkInertia)
+            known = [[x] for x in columns.of_several(starts)] if not body else [()] * len(starts)
+            out += [candidate(half, [e], every=x) for e, x in zip(starts, known, strict=True)]
             if kind.shared:
                 out.append(candidate(half, kind.candidates(robot), common=True))
     laws = (ViscousFriction, CoulombFriction)
@@ -247,4 +317,5 @@ def left_open(half: Half) -> Terms:
         asked = known.over([name for e in own for name in known_names(e)])
         rows = [*base, *range(asked.rigid, asked.root.shape[1])]
         precision = precision + asked.information[rows][:, rows].numpy()
-    return Terms(half.gap, np.tensordot(independent(precision).T, raw, 1))
+    into = independent(precision)
+    return Terms.of(half.gap, np.tensordot(into[:, into.any(0)].T, raw, 1))
