@@ -118,6 +118,7 @@ def score_command(
     folder: SetArgument,
     keys: opt.File = None,
     partial: Switch = False,
+    workers: Workers,
     output: Annotated[Kept, "score.json"],
 ) -> None:
     """Open the keys and score the answers.
@@ -137,4 +138,11 @@ def score_command(
     answers = read_answers(cases)
     require_answers(cases, answers, partial=partial)
     result = summary(cases, opened, answers)
+    if cases.background is not None:
+        from torchid_bench.withheld.background_score import background_scores
+        from torchid_bench.withheld.decidable import classes_of
+
+        with output.progress() as progress:
+            classes = classes_of(cases, jobs=workers.count, progress=progress)
+        result["scores"]["background"] = background_scores(opened, answers, classes)
     output.give(result, "score.json", report_of_summary)

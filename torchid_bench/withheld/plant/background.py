@@ -23,6 +23,15 @@ Rng = np.random.Generator
 ELEMENTS = np.array([0.3, 0.8, 1.4, 2.2])
 """Displacements at which the elements of dry friction slide, of the drawn one [1]."""
 
+NAMES = (
+    "coulomb_friction", "viscous_friction", "power_law_friction", "load_dependent_friction",
+    "stribeck_friction", "asymmetric_friction", "thermal_friction_drift", "presliding_hysteresis",
+    "load_hysteresis", "motor_ripple", "torque_gain", "time_delay", "filter_lag", "link_inertia",
+    "all_base",
+)  # fmt: skip
+"""Of effects that the small things are, on every joint: who names one of them names what is there,
+however small."""
+
 _EVERY = 10  # rows of a fit are so many instants apart: what is below the band, and no more
 _STIFFEST = 3e-4  # presliding of a joint [rad]
 _MOST = 2.0  # of what papers say of friction and ripple; what is left of the size is a cable's

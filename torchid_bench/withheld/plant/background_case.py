@@ -36,7 +36,7 @@ from torchid_bench.withheld.plant.draw import EXCLUSIVE, BackgroundSpec
 from torchid_bench.withheld.plant.logger import Logger, logged
 from torchid_bench.withheld.plant.model import plant_of
 from torchid_bench.withheld.plant.plan import EffectSpec, Plan, Scene, Signals
-from torchid_bench.withheld.plant.recorded import STYLES, recorded
+from torchid_bench.withheld.plant.recorded import STYLES, Recorded, recorded
 from torchid_bench.withheld.plant.scene import friction_known, nominal_of, scene_along
 from torchid_bench.withheld.plant.sensing import with_held_torque
 from torchid_bench.withheld.plant.settings import DRAWS
@@ -82,7 +82,11 @@ class Files:
 
 
 def of_background(
-    spec: BackgroundSpec, *, only: Sequence[int] | None = None, ideal: bool = False
+    spec: BackgroundSpec,
+    *,
+    only: Sequence[int] | None = None,
+    ideal: bool = False,
+    quiet: bool = False,
 ) -> Files:
     """Simulate a case.
 
@@ -91,6 +95,8 @@ def of_background(
         only: effects that are there, by their numbers; all if None. What is drawn of the others, of
             the background and of noise stays as it is.
         ideal: whether sensors have no noise, counts, jitter and lost rows.
+        quiet: whether it is the arm that its file describes, without effects, seen by the same
+            sensors.
     """
 
     # Each thing that is drawn has random numbers of its own.
@@ -112,6 +118,9 @@ def of_background(
     small = scaled(
         small, healthy, asked.scene, asked.paths, loads, asked.warm, spec.background * STANDARD
     )
+    if quiet:
+        none = dict.fromkeys(("scale", "cable", "gain", "late"), np.zeros(arm.n))
+        healthy, small, only = Plan(plant_of(arm, *known), *known), replace(small, **none), ()
     # The effects, each of standard size on the arm without the others.
     effects = _placed(numbers(6), spec, arm, asked)
     plan, records = healthy, list[dict[str, Any]]()
@@ -158,9 +167,22 @@ def _placed(rng: Rng, spec: BackgroundSpec, arm: Arm, session: Session) -> list[
     out, taken = list[EffectSpec](), list[int]()
     for effect in spec.effects:
         avoid = (*still, *(taken if effect.name in EXCLUSIVE else ()))
-        out.append(drawn_effect(rng, effect.name, arm, avoid=tuple(avoid)))
-        taken += out[-1].joints
+        drawn = drawn_effect(rng, effect.name, arm, avoid=tuple(avoid))
+        if "begin" in drawn.draws:
+            drawn = replace(drawn, draws={**drawn.draws, **_while_it_moves(rng, session)})
+        out.append(drawn)
+        taken += drawn.joints
     return out
+
+
+def _while_it_moves(rng: Rng, session: Session) -> dict[str, float]:
+    """Trajectory and beginning, as a share of it, of what happens in the middle of a step."""
+    number = int(rng.integers(len(session.scene.order)))
+    motion = session.scene.shapes[session.scene.order[number]]
+    assert isinstance(motion, Recorded)
+    k = int(rng.integers(len(motion.begins)))
+    begin = motion.begins[k] + rng.uniform(0.2, 0.5) * motion.lasts[k]
+    return {"trajectory": float(number), "begin": float(begin / motion.seconds)}
 
 
 def _sizes(
