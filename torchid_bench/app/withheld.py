@@ -47,6 +47,7 @@ def make_command(
     kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
     robots: Literal["arms", "tree", "quadruped", "two_arms", "torso"] = "arms",
+    background: Annotated[float | None, typer.Option(min=0.0)] = None,
     keys: opt.Written = None,
     workers: Workers,
     output: Printed,
@@ -62,14 +63,16 @@ def make_command(
         kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
         robots: Arms; robots that branch, their base held in the air; or one of these.
+        background: Small things that every arm has: as large, after all usual laws are fitted, as
+            so many times a cause.
     """
     from torchid_bench.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress, staged(None):  # what a stopped one has made is kept
         made = make(
-            out, cases, seed, kind=kind, mix=mix, robots=robots, keys=sealed,
-            jobs=workers.count, progress=progress,
+            out, cases, seed, kind=kind, mix=mix, robots=robots, background=background,
+            keys=sealed, jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
@@ -115,6 +118,7 @@ def score_command(
     folder: SetArgument,
     keys: opt.File = None,
     partial: Switch = False,
+    workers: Workers,
     output: Annotated[Kept, "score.json"],
 ) -> None:
     """Open the keys and score the answers.
@@ -134,4 +138,11 @@ def score_command(
     answers = read_answers(cases)
     require_answers(cases, answers, partial=partial)
     result = summary(cases, opened, answers)
+    if cases.background is not None:
+        from torchid_bench.withheld.background_score import background_scores
+        from torchid_bench.withheld.decidable import classes_of
+
+        with output.progress() as progress:
+            classes = classes_of(cases, jobs=workers.count, progress=progress)
+        result["scores"]["background"] = background_scores(opened, answers, classes)
     output.give(result, "score.json", report_of_summary)

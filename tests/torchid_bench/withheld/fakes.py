@@ -71,6 +71,8 @@ class Simulated:
     columns: dict[str, np.ndarray]
     key: dict[str, Any] = field(default_factory=dict)
     rotors: tuple[float, ...] = ()
+    more: tuple[dict[str, np.ndarray], ...] = ()
+    earlier: dict[str, np.ndarray] | None = None
 
 
 def draw_case(seed: int, number: int, *, mix: str = "mixed") -> Spec:

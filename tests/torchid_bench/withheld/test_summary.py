@@ -71,4 +71,4 @@ def test_the_table_has_what_there_are_cases_for(cases, keys, answers):
     found = summary(cases, keys, answers)
     known = [line for line in LINES if line.value(found["scores"]) is not None]
     assert 5 < len(known) < len(LINES)
-    assert len(score_table(found).rows) == len(known)
+    assert len(score_table(found, LINES).rows) == len(known)

@@ -1,6 +1,5 @@
 """Cases of the benchmark: drawn from a seed and a number, and simulated."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,12 +7,18 @@ import numpy as np
 
 from torchid.json_data import picked
 from torchid_bench.withheld.plant.arms import arm_named, urdf
-from torchid_bench.withheld.plant.bodies import Array
-from torchid_bench.withheld.plant.catalogue import KINDS, Kind
-from torchid_bench.withheld.plant.draw import CaseSpec, ServoSpec, TorqueSpec, draw_case
+from torchid_bench.withheld.plant.background_case import of_background
+from torchid_bench.withheld.plant.catalogue import KINDS, effect_record
+from torchid_bench.withheld.plant.draw import (
+    BackgroundSpec,
+    CaseSpec,
+    ServoSpec,
+    TorqueSpec,
+    draw_case,
+)
 from torchid_bench.withheld.plant.logger import logged
 from torchid_bench.withheld.plant.model import plant_of
-from torchid_bench.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene
+from torchid_bench.withheld.plant.plan import Plan, Scene
 from torchid_bench.withheld.plant.scene import (
     friction_known,
     moved_otherwise,
@@ -63,12 +68,16 @@ class SimulatedCase:
             servos t, u1.., q1.., traj.
         key: what was planted; without an id.
         rotors: (n,) inertia that the maker's data tell of each rotor [kg m^2]; empty if none.
+        more: columns of further files of the log.
+        earlier: of an earlier log; None without one.
     """
 
     urdf: str
     columns: dict[str, np.ndarray]
     key: dict[str, Any]
     rotors: tuple[float, ...] = ()
+    more: tuple[dict[str, np.ndarray], ...] = ()
+    earlier: dict[str, np.ndarray] | None = None
 
 
 def simulate_case(
@@ -90,24 +99,14 @@ def simulate_case(
     """
     if bare:
         spec = replace(spec, effects=())
+    if isinstance(spec, BackgroundSpec):
+        files = of_background(spec, ideal=ideal)
+        first, *more = files.logs
+        return SimulatedCase(files.urdf, first, files.key, (), tuple(more), files.earlier)
     if isinstance(spec, ServoSpec):
         return _of_servos(spec)
     assert isinstance(spec, TorqueSpec)
     return _of_torques(spec, ideal=ideal, fresh=fresh)
-
-
-def _record(
-    kinds: Mapping[str, Kind], effect: EffectSpec, felt: Array, parameters: Parameters, size: float
-) -> dict[str, Any]:
-    """What a key says of an effect; `felt` (n,) is whether each joint feels it."""
-    return {
-        "name": effect.name,
-        **picked(kinds[effect.name], "family acceptable=akin"),
-        "joints": [j + 1 for j in effect.joints],
-        "felt_by": (np.flatnonzero(felt) + 1).tolist(),
-        "parameters": parameters,
-        "size": size,
-    }
 
 
 def _of_servos(spec: ServoSpec) -> SimulatedCase:
@@ -125,7 +124,7 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
         felt = rms > max(MOVED * rms.max(), count / 2)
         # Of the largest change, over what an encoder rounds to.
         size = float(rms.max() / (count / np.sqrt(12)))
-        effects.append(_record(SERVO_KINDS, effect, felt, own, size))
+        effects.append(effect_record(SERVO_KINDS, effect, felt, own, size))
     if len(effects) > 1:
         moved = led_motions(scene, plan)
     # What the bus carries: commands, and positions in counts.
@@ -180,7 +179,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
             sizes[k] = size_of(scene, alone, own_nominal, moved)
     noise_std, torque = scene.noise, scene.torque
     effects = [
-        _record(KINDS, effect, size * noise_std > FELT * torque, own, float(size.max()))
+        effect_record(KINDS, effect, size * noise_std > FELT * torque, own, float(size.max()))
         for effect, own, size in zip(spec.effects, parameters, sizes, strict=True)
     ]
     logger, noise = spec.logger, scene.noise
