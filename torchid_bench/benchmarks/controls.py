@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from msgspec import UNSET
 
 import torchid
 from torchid.errors import TorchidError
@@ -134,12 +133,11 @@ ALTERED: dict[str, Callable[[Log, Robot], Log]] = {
 
 
 def said(found: Diagnosis) -> dict[str, Any]:
-    """What an answer names, and whether it calls that new; without an earlier log all is that it
-    names beyond what the model has."""
+    """What an answer names, and whether that is new: not called 'in both'."""
     answer = found.answer
     return {
         "headline": answer.headline,
-        "since": None if answer.since is UNSET else answer.since,
+        "since": answer.since or None,
         "names": [
             {
                 "name": " ".join(f"{c.name} {c.place}".split()),
@@ -205,19 +203,21 @@ arm (`torchid_bench/benchmarks/controls.yaml`). Right is that nothing new is nam
 make controls
 ```
 
-on torchid {version}. A name that the model lacked on both logs is counted apart, as 'in both'; without an earlier log all
-is new that is beyond the model. New names have their size, how sure they are, and their share of the error; of more than
-{shown} the surest are shown. CPU seconds are those of the answer, of {limit:g} at most.
+on torchid {version}. New is what the answer does not call 'in both'; without an earlier log it is all that it names. New
+names have their size, how sure they are, and their share of the error; of more than {shown} the surest are shown. Names above
+{likely:g} that are 'in both' are counted apart. Of an arm that stands a refusal is the right answer. CPU seconds are those of the
+answer, of {limit:g} at most.
 """
 
 
-def page_of(done: Mapping[Control, Mapping[str, Any]], limit: float) -> str:
+def page_of(done: Mapping[Control, Mapping[str, Any]], every: list[Control], limit: float) -> str:
     """The page in Markdown: what all controls have in common, and a row a control."""
     marks = ["---", "---", "--:", "--:", "---", "--:", "--:"]
     return "\n".join((
-        HEAD.format(version=torchid.__version__, shown=SHOWN, limit=limit),
+        HEAD.format(version=torchid.__version__, shown=SHOWN, likely=LIKELY, limit=limit),
         *(f"{line}\n" for line in summary(done)),
         pipe_table(TITLES, [cells(*one) for one in done.items()], marks) + "\n",
+        *(f"Not asked yet: {c.name}.\n" for c in every if c not in done),
     ))  # fmt: skip
 
 
@@ -229,8 +229,11 @@ TITLES = (
 def cells(control: Control, result: Mapping[str, Any]) -> tuple[object, ...]:
     """A row of the page."""
     names = sorted(new_names(result), key=lambda x: -x["sure"])
-    shown = [f"{x['name']} ({x['size']}; {x['sure']:.2f}; {x['share'] or 0:.1%})" for x in names]
-    more = [f"{len(names) - SHOWN} more"] if len(names) > SHOWN else []
+    shown = [
+        f"{x['name']} ({x['size']}; {x['sure']:.2f}; {100 * (x['share'] or 0):.2g} %)"
+        for x in names[:SHOWN]
+    ]
+    more = [f"{len(names) - SHOWN} more"] * (len(names) > SHOWN)
     both = sum(not x["new"] and (x["sure"] or 0) > LIKELY for x in result.get("names", ()))
     alone = control.model and "since" in result and result["since"] is None
     return (
@@ -238,7 +241,7 @@ def cells(control: Control, result: Mapping[str, Any]) -> tuple[object, ...]:
         outcome_of(result) + ", no earlier log" * bool(alone),
         len(names),
         len(new_names(result, SURE)),
-        cell_of("; ".join([*shown[:SHOWN], *more]) or result["why"]),
+        cell_of("; ".join([*shown, *more]) or result["why"]),
         both,
         f"{result['seconds']:.0f}",
     )
@@ -313,7 +316,7 @@ def main(
     done = {c: json.loads(file(c).read_text()) for c in every if file(c).exists()}
     print(*summary(done), sep="\n")
     if page:
-        page.write_text(page_of(done, limit))
+        page.write_text(page_of(done, every, limit))
     return int(any(outcome_of(done[c]) in ("named", ENDS[run.ERROR]) for c in chosen))
 
 

@@ -172,9 +172,9 @@ FAILED = {"why": "said why", "seconds": 240.0}
 @pytest.mark.parametrize(
     ("result", "outcome", "cells"),
     [
-        (answer(name(0.97)), "named", "| 1 | 1 | payload (1 kg; 0.97; 25.0%) | 0 | 2 |"),
-        (answer(name(0.97, share=1e-4)), "named", "payload (1 kg; 0.97; 0.0%)"),
-        (answer(name(0.6), name(0.99, False)), "named", "| 1 | 0 | payload (1 kg; 0.60; 25.0%) |"),
+        (answer(name(0.97)), "named", "| 1 | 1 | payload (1 kg; 0.97; 25 %) | 0 | 2 |"),
+        (answer(name(0.97, share=1e-4)), "named", "payload (1 kg; 0.97; 0.01 %)"),
+        (answer(name(0.6), name(0.99, False)), "named", "| 1 | 0 | payload (1 kg; 0.60; 25 %) |"),
         (answer(name(0.5), name(None)), "silent", "| 0 | 0 |  | 0 | 2 |"),
         (answer(name(0.97, False)), "silent", "| 0 | 0 |  | 1 | 2 |"),
         (answer(name(0.97), since=None), "named, no earlier log", "| 1 | 1 |"),
@@ -187,7 +187,7 @@ FAILED = {"why": "said why", "seconds": 240.0}
 def test_what_is_new_is_counted(result: dict[str, Any], outcome: str, cells: str) -> None:
     (row,) = (
         line
-        for line in controls.page_of({PAIR: result}, 240.0).splitlines()
+        for line in controls.page_of({PAIR: result}, [], 240.0).splitlines()
         if line.startswith("| arm: a, asked of b |")
     )
     assert row.startswith(f"| arm: a, asked of b | {outcome} |")
@@ -195,7 +195,11 @@ def test_what_is_new_is_counted(result: dict[str, Any], outcome: str, cells: str
 
 
 def test_a_line_sums_up() -> None:
-    done = {PAIR: answer(name(0.97)), Control("arm", "half the rate", "log_a", "log_a"): answer()}
+    half = Control("arm", "half the rate", "log_a", "log_a")
+    done = {PAIR: answer(name(0.97)), half: answer()}
+    later = Control("leg", controls.PAIR, "log_a", "log_b")
+    text = controls.page_of(done, [PAIR, half, later], 240.0)
+    assert text.endswith("\nNot asked yet: leg: a, asked of b.\n")
     pairs, every = controls.summary(done)
     assert pairs.startswith(
         "**1 pairs of other motions: new names above 0.5 in 1, above 0.9 in 1; "
