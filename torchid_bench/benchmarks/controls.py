@@ -188,8 +188,8 @@ def measured(
         return {**found.plain(), "said": said(found)}
 
     made = run.written_answer(run.Job(control.name, file, (), whole, settings, None, limit), answer)
-    result = {"status": made["status"], "why": made.get("error", ""), "seconds": made["seconds"]}
-    return result | made.get("said", {})
+    why = made.get("error", "").replace(f"{folder}/", "")
+    return {"status": made["status"], "why": why, "seconds": made["seconds"]} | made.get("said", {})
 
 
 # The page
