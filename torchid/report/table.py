@@ -368,9 +368,9 @@ def table_of(
     """Parts of a result as a table: a row each, a column for each field or property that declares
     one (`Col`).
 
-    Integers, words and yes or no stand as they are, joints from 1, lists with commas, a dash for
-    what is not there; a number with its digits, its unit, and its standard deviation or interval,
-    as its column says.
+    Integers, words and yes or no stand as they are, joints from 1, lists with commas, the numbers
+    of a tensor (n,) beside each other, a dash for what is not there; a number with its digits, its
+    unit, and its standard deviation or interval, as its column says.
 
     Args:
         title: of the table.
@@ -420,6 +420,8 @@ def _declared(kind: type) -> dict[str, tuple[str, Col, bool]]:
 def _cell(entry: object, name: str, col: Col) -> str:
     """A cell, as `table_of` has it."""
     value = getattr(entry, name)
+    if hasattr(value, "tolist"):
+        return " ".join(cells(value, col.digits)) if col.words is None else col.words(value)
     if value is None or value is UNSET or value != value:
         return "-"
     if col.words is not None:

@@ -9,10 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy import stats
 
 from torchid.results.record import Real
 from torchid.statistics.resampling import Array, bootstrap, percentile_interval
+from torchid.typing import Float, Tensor
 
 Statistic = Callable[[Array], float]
 """Of the chosen samples' indices, repeats included; nan where it is not defined."""
@@ -98,6 +100,18 @@ class Sample:
         return self.estimate(
             lambda k: function(self.errors[k[inside[k]]], self.errors[k[~inside[k]]]), [a, b]
         )
+
+
+def quartiles(values: Tensor) -> Tensor:
+    """Lower quartile, median and upper quartile (..., 3) over the first axis of (K, ...)."""
+    shares = values.new_tensor([0.25, 0.5, 0.75])
+    return torch.quantile(values, shares, dim=0).movedim(0, -1)
+
+
+def quartile_words(three: Float[Tensor, "3"]) -> str:
+    """`4.9 (3.2 - 7.7)`: median and quartiles."""
+    low, middle, high = three.tolist()
+    return f"{middle:.3g} ({low:.3g} - {high:.3g})"
 
 
 def spearman(x: Array, y: Array) -> float:
