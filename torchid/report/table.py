@@ -276,31 +276,6 @@ class Page:
         inside = [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
         return inside if self.picture is None else [self.picture, *inside]
 
-    def markdown(self) -> str:
-        """The report in Markdown; its pictures lie beside it."""
-        from torchid.report.panels import Picture
-
-        parts = [f"# {self.title}\n", f"{self.verdict}\n"]
-        for section in self.sections:
-            if not any(section.parts):
-                continue
-            parts.append(f"## {section.title}\n")
-            for part in section.parts:
-                if not part:
-                    continue
-                if isinstance(part, Table):
-                    parts.append(part.markdown())
-                elif isinstance(part, Picture):
-                    name = part.name.replace("_", " ")
-                    parts.append(f"![{name}]({part.file})\n\n*{part.caption}*\n")
-                elif isinstance(part, Code):
-                    parts.append(f"{part.note}\n\n```\n{part.text}\n```\n")
-                else:
-                    parts.append("".join(f"- {sentence}\n" for sentence in part))
-        about = (*self.origin.seeds, *self.origin.settings, *self.origin.versions)
-        parts.append("## How it was obtained\n")
-        return "\n".join([*parts, "".join(f"- {name}: {value}\n" for name, value in about)])
-
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
