@@ -101,7 +101,11 @@ def study_page(study: Study, origin: Origin) -> Page:
         origin,
         sections=[
             *(
-                Section(title, [*part, *([picture] if title == "Internal wrenches" else [])])
+                Section(
+                    title,
+                    [*part, *([picture] if title == "Internal wrenches" else [])],
+                    folded=title != "Classification",
+                )
                 for title, part in tables(study).items()
             ),
             caution_section(record.warnings),
