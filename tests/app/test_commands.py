@@ -316,6 +316,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
         ("gap 3r run.csv --to urdf --out out", "torchid correct"),
         ("gap 3r run.csv --for urdf --out out", "torchid correct"),
         ("gap 3r run.csv --calibrate 3", "torchid calibrate"),
+        ("study 3r --no-figures", "--report"),
     ],
 )
 def test_what_is_gone_says_what_replaces_it(command, line, instead):

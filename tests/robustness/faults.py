@@ -87,7 +87,7 @@ def scenes(inputs: Path) -> dict[str, Scene]:
             ),
             ("--overwrite",),
         ),
-        Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--overwrite",)),
+        Scene("study", (*f"study 3r {few} 4 --out out".split(),), ("--overwrite",)),
         Scene(
             "gap",
             (
