@@ -81,7 +81,6 @@ def test_one_screen_then_sections_that_fold(undrawn):
     # The worst joint is seen at once, over time and over its laws; all else below it folds.
     opened = [d.xpath("./summary/h2")[0].text_content() for d in tree.xpath("//details[@open]")]
     assert opened == headings(tree)[:1]
-    assert [f.get("id") for f in tree.xpath("//section[@id='answer']//figure")] == ["robot"]
     titles = [h.text_content() for h in tree.xpath("//div[@class='advice']/h2")]
     assert titles == ["What to do first", "Which model to use"]
 
@@ -174,9 +173,9 @@ def test_captions_say_where(undrawn):
         "Joint 2 holds 98 % of the error, above all in the columns reversal and slow"
         in (captions["where"])
     )
-    assert captions["robot"].startswith("Figure 1. The robot in a pose of this log.")
+    assert captions["torque"].startswith("Figure 1. Torque of the arm and of both models")
     assert "RMS 0.61 N m before and 0.07 after" in captions["joint_2"]
-    assert list(captions) == ["robot", "torque", "joint_2", "motion", "where"]
+    assert list(captions) == ["torque", "joint_2", "motion", "where"]
 
 
 def test_what_holds_nothing_is_not_drawn(undrawn):
@@ -191,7 +190,7 @@ def test_what_holds_nothing_is_not_drawn(undrawn):
 def test_every_figure_is_drawn(status):
     tree = page_of(diagnosis(status, **SHORT))
     names = [f.get("id") for f in tree.iter("figure")]
-    assert names == ["robot", "torque", "joint_2", "motion", "where"]
+    assert names == ["torque", "joint_2", "motion", "where"]
     assert all(len(svg.xpath(".//*")) > 10 for svg in tree.iter("svg"))
 
 

@@ -24,7 +24,6 @@ from torchid.report.friction import friction_figure, friction_picture
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
 from torchid.report.panels import Figure, Figures, Picture
-from torchid.report.skeleton import PHONE, skeleton_of
 from torchid.report.table import Code, Origin, Page, Report, Section, Table
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import Answer, Diagnosis, DiagnosisRecord
@@ -115,7 +114,6 @@ def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
         origin=origin,
         answer=answer,
         band=band,
-        picture=_arm_picture(result),
         advice=(
             ("What to do first", [step[:1].upper() + step[1:] for step in steps]),
             ("Which model to use", [model or model_words(answer, None, "the model as given")]),
@@ -151,25 +149,6 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
         alone = f"{digits(result.commanded.whole_mrad)} {unit}"
         return [*out, ("Command alone", alone)]
     return out
-
-
-def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
-    """The robot with its errors and causes at its joints."""
-    if isinstance(result, TorqueDiagnosis) and not result.traces:
-        return None
-    errors = ", ".join(
-        f"joint {j.joint + 1} {digits(j.before)} to {digits(j.after)}"
-        for j in result.answer.joints
-        if j.before == j.before
-    )
-    return Picture(
-        "robot",
-        "The robot in a pose of this log. The whole disc of a joint is its error, the solid part "
-        f"what remains with the causes [{result.answer.unit}].",
-        f"The robot by its joints. Errors before and after: {errors}.",
-        partial(skeleton_of, result),
-        narrow=partial(skeleton_of, result, PHONE),
-    )
 
 
 def _signals(name: str, signals: OverTime, caption: str) -> Picture | None:
@@ -265,7 +244,6 @@ def kinds(result: Diagnosis | DiagnosisRecord) -> Figures:
             drawn["friction"] = partial(friction_figure, result)
     if isinstance(result, PositionDiagnosis) or "torque" in drawn:
         assert isinstance(result, TorqueDiagnosis | PositionDiagnosis)
-        drawn["robot"] = partial(skeleton_of, result)
         drawn["motion"] = motion_over_time(result).draw
     return drawn
 
@@ -275,7 +253,6 @@ def figures(result: Diagnosis | DiagnosisRecord) -> Figures:
     apart."""
     record, drawn = result.record, dict(kinds(result))
     motion, of_joint = drawn.pop("motion", None), drawn.pop("gap", None)
-    drawn.pop("robot", None)
     if isinstance(record, GapRecord):
         worst = gap_figures.worst_joints(record)
         if not gap_figures.stands_out(record):

@@ -252,7 +252,6 @@ class Page:
         sections: below them, in their order.
         answer: of a diagnosis: joints, bars and causes.
         band: below which its errors are counted [Hz].
-        picture: beside the answer.
         advice: (title, sentences) what to do.
         sortable: whether its tables can be sorted by a click.
     """
@@ -264,7 +263,6 @@ class Page:
     sections: Sequence[Section]
     answer: "Answer | None" = None
     band: float | None = None
-    picture: "Picture | None" = None
     advice: Sequence[tuple[str, Sequence[str]]] = ()
     sortable: bool = False
 
@@ -273,8 +271,7 @@ class Page:
         """All pictures, in their order."""
         from torchid.report.panels import Picture
 
-        inside = [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
-        return inside if self.picture is None else [self.picture, *inside]
+        return [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
 
     def markdown(self) -> str:
         """The report in Markdown; its pictures lie beside it."""

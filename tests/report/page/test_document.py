@@ -54,7 +54,7 @@ def test_too_many_pictures_are_left_out_and_named(page, monkeypatch):
     monkeypatch.setattr(rendering, "inline_svg", lambda p: "<svg>" + 40_000 * "x" + "</svg>")
     monkeypatch.setattr(rendering, "_plotly", lambda: None)
     pictures = [replace(p, narrow=None) for p in page.pictures]
-    text = render(replace(page, picture=None, sections=[Section("Pictures", pictures)]))
+    text = render(replace(page, sections=[Section("Pictures", pictures)]))
     assert text.count("<figure") == 2
     assert f"{len(pictures) - 2} more figures" in text
     assert len(text.encode()) < 500_000
