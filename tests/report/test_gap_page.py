@@ -1,14 +1,9 @@
 """The page of a diagnosis says what the diagnosis holds."""
 
-import base64
-import gzip
-import hashlib
-import json
 from dataclasses import replace
 from io import StringIO
 from typing import get_args
 
-import numpy as np
 import pytest
 from msgspec import structs
 from rich.console import Console
@@ -204,40 +199,6 @@ def test_cautions_are_few_and_say_one_thing_once(undrawn):
         "12 logs (run0, run1 and 10 more): time steps of 8 to 19 ms; resampled to 10 ms."
     )
     assert "more are in the JSON" in said[-1]
-
-
-def test_plotly_stands_there_once_and_gets_the_very_numbers(undrawn):
-    pytest.importorskip("plotly")
-    d = diagnosis(**SHORT)
-    tree = page_of(d)
-    (library,) = tree.xpath("//script[@id='plotly']/text()")
-    policy = tree.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")[0]
-    plain = gzip.decompress(base64.b64decode(library))
-    digest = base64.b64encode(hashlib.sha256(plain).digest()).decode()
-    assert f"'sha256-{digest}'" in policy
-    assert "unsafe" not in policy.split("script-src")[1]
-    data = [json.loads(x) for x in tree.xpath("//script[@type='application/json']/text()")]
-    torque, motion = data
-    assert [one["quantity"] for one in data] == ["torque", "position"]
-    assert motion["joints"] == ["1", "2", "3"]
-    # The arm moves as it was measured, without models.
-    (curves,), q = [run["curves"] for run in motion["runs"]], d.traces[0].motion.q[:, 1]
-    assert (list(curves), motion["models"]) == (["arm"], [])
-    most, coded = curves["arm"][1]
-    shares = np.frombuffer(base64.b64decode(coded), "<i2") / 32767
-    assert most * shares == pytest.approx(q[:: -(-len(q) // len(shares))].numpy(), abs=1e-4)
-    # Instants at the edges, which do not count, are no numbers.
-    first = np.frombuffer(base64.b64decode(torque["runs"][0]["curves"]["arm"][0][1]), "<i2")
-    assert first[0] == -32768
-    assert torque["runs"][0]["aside"] == [[], [], []]
-
-
-def test_without_plotly_the_drawings_stay(undrawn, monkeypatch):
-    monkeypatch.setattr(rendering, "_plotly", lambda: None)
-    tree = page_of(diagnosis(**SHORT))
-    assert not list(tree.iter("script"))
-    assert "script-src" not in tree.xpath("//meta[@http-equiv]/@content")[0]
-    assert {"motion", "torque"} <= {f.get("id") for f in tree.iter("figure")}
 
 
 @pytest.mark.parametrize(

@@ -152,14 +152,14 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
 
 
 def _signals(name: str, signals: OverTime, caption: str) -> Picture | None:
-    """A figure over time, for desk and phone, which zooms."""
+    """A figure over time, for desk and phone."""
     if not signals.runs:
         return None
     first = f"{signals.quantity} of joint {signals.joints[signals.order[0]]}"
     models = " and of both models" if signals.models else ""
     alt = f"Over time: {first}, of the arm{models}."
     narrow = partial(signals.draw, None, NARROW)
-    return Picture(name, caption, alt, signals.draw, narrow=narrow, numbers=signals.numbers)
+    return Picture(name, caption, alt, signals.draw, narrow=narrow)
 
 
 def _sections(

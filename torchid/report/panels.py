@@ -41,7 +41,6 @@ class Picture:
         draw: the figure.
         section: of a page of several, by key.
         narrow: the same figure for a phone; None where the wide one scrolls sideways there.
-        numbers: what a page's script draws in its place, to be zoomed (`OverTime.numbers`).
     """
 
     name: str
@@ -50,7 +49,6 @@ class Picture:
     draw: Callable[[], Figure]
     section: str = ""
     narrow: Callable[[], Figure] | None = None
-    numbers: Callable[[], Mapping[str, Any]] | None = None
 
     @property
     def file(self) -> str:
