@@ -36,6 +36,7 @@ GONE = {
     "gap --to": "torchid correct ROBOT LOG... --to FORMAT",
     "gap --for": "torchid correct ROBOT LOG... --to FORMAT",
     "gap --calibrate": "torchid calibrate ROBOT LOG... --causes N",
+    "effects --out": "--json FILE",
 }
 """Options that the release before had last, and what replaces them."""
 
