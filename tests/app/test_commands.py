@@ -143,7 +143,7 @@ def test_identify_takes_effects_with_places_and_shapes(command, folder, tmp_path
     assert spring["places"] == [{"joint": 2, "curvature": 0.0}]
     assert stribeck["places"][0]["vs"] > 0
     assert any("was searched on the training data" in w for w in data["warnings"])
-    for row in ("joint_spring 2 curvature 0", "joint_spring 2 c0", "stribeck_friction 3 Fs"):
+    for row in ("curvature = 0 1/rad² of joint spring, joint 2; vs = ", "c02 ", "Fs3 "):
         assert row in " ".join(shown.out.split())
 
 

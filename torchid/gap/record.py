@@ -23,7 +23,7 @@ from torchid.results.record import (
     Rows,
     face,
 )
-from torchid.results.words import effect_words
+from torchid.results.words import digits, effect_words, span
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulators.nearest_fields import NearestFields
@@ -159,10 +159,10 @@ class Known(Part, frozen=True, kw_only=True):
 class JointRms(Part, frozen=True):
     """Torque error of one joint before and after, and the noise."""
 
-    joint: Joint
-    before: Real
-    after: Real
-    noise_floor_rms: Ends
+    joint: Annotated[Joint, Col()]
+    before: Annotated[Real, Col("as given", words=digits)]
+    after: Annotated[Real, Col("corrected", words=digits)]
+    noise_floor_rms: Annotated[Ends, Col("noise", words=span)]
 
 
 class FarRecord(Part, frozen=True, kw_only=True):

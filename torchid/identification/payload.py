@@ -7,7 +7,7 @@ application to collision detection", IROS 2017. The mathematics is in `payload_f
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import get_args
+from typing import Annotated, get_args
 
 import torch
 from msgspec import UNSET, UnsetType, field, structs
@@ -42,7 +42,7 @@ from torchid.identification.result import Identification, of_parameters
 from torchid.identification.settings import Settings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
-from torchid.results.record import Part, Real, Record, Rows
+from torchid.results.record import Col, Part, Real, Record, Rows
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.shapes import reach
@@ -106,9 +106,9 @@ class Change(Part, frozen=True):
         significant: beyond the interval of its kind.
     """
 
-    name: str
+    name: Annotated[str, Col("coefficient")]
     unit: str
-    change: Real
+    change: Annotated[Real, Col("change ± std", spread="std", unit_of="unit")]
     std: Real
     significant: bool
 

@@ -108,8 +108,8 @@ class OneSided(Cause, frozen=True, kw_only=True):
         only: whether the other one has none.
     """
 
-    more: Side
-    only: bool
+    more: Annotated[Side, Col("has more")]
+    only: Annotated[bool, Col("alone")]
 
 
 class ServoDifference(Part, frozen=True):

@@ -1,7 +1,6 @@
 """A diagnosis for people, the same for every kind of log: the answer, then the evidence for it; and
 its page: one screen with the answer, and below it what it rests on, which folds."""
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -24,11 +23,10 @@ from torchid.report.friction import friction_figure, friction_picture
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
 from torchid.report.panels import Figure, Figures, Picture
-from torchid.report.table import Code, Origin, Page, Report, Section, Table
+from torchid.report.table import Code, Origin, Page, Report, Section, Table, table_of
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import Answer, Diagnosis, DiagnosisRecord
-from torchid.results.cause import MOST_SIZES
-from torchid.results.words import count, digits, percent, span, sure
+from torchid.results.words import count, digits, percent, span
 
 STATUS = {
     "no_gap": "no gap",
@@ -44,17 +42,12 @@ STATUS = {
 
 def suspects_table(answer: Answer) -> Table:
     """The likeliest causes that are not sure enough for a name."""
-    rows = [
-        (f"{c.name} {c.place}".strip(), ", ".join(s.named for s in c.sizes[:MOST_SIZES]),
-         sure(c.how_sure), "" if math.isnan(c.share) else percent(c.share), c.remedy)
-        for c in answer.suspects
-    ]  # fmt: skip
-    columns = ("suspect", "value ± std", "sure", "in the model", "what would settle it")
     title = (
-        "suspects: the likeliest causes that are not sure enough; the share of the error that they "
-        "take where the corrected model holds them, for the data need a term there"
+        "suspects: the likeliest causes that are not sure enough, and what would settle them; the "
+        "share of the error that they take where the corrected model holds them, for the data need "
+        "a term there"
     )
-    return Table(title, columns, rows, "lrrrp")
+    return table_of(title, answer.suspects, "name at numbers how_sure share remedy")
 
 
 def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") -> Report:

@@ -11,11 +11,8 @@ from torchid.report.cautions import caution_section
 from torchid.report.gap_figures import CLEAR, excess_words
 from torchid.report.table import Origin, Page, Report, Section, Table, cell, table_of
 from torchid.results.words import (
-    effect_words,
     joints_words,
     listed,
-    percent,
-    sure,
     unit_behind,
     within,
 )
@@ -119,14 +116,6 @@ def page(pair: PairDiagnosis, origin: Origin) -> Page:
 def tables(pair: PairDiagnosis) -> list[Table | None]:
     """Where torque and motion differ, faults, effects."""
     record = pair.record
-    effects = [
-        (
-            _more(one), joints_words(one.at), one.values() or "-", percent(one.share),
-            sure(one.how_sure), ", ".join(map(effect_words, one.ambiguous_with)) or "-",
-        )
-        for one in record.which or ()
-    ]  # fmt: skip
-    both = [(c.name, joints_words(c.at), c.values() or "-", sure(c.how_sure)) for c in record.both]
     servos = [
         (
             str(s.joint + 1), f"{s.parameter} / kp" if s.per_kp else s.parameter,
@@ -138,19 +127,19 @@ def tables(pair: PairDiagnosis) -> list[Table | None]:
         for s in record.servos or ()
     ]  # fmt: skip
     numbers = ("joint", "parameter", "simulator", "arm", "differs")
-    headings = ("effect", "where", "simulator -> arm", "share", "how sure", "not separable from")
     return [
         None if record.torque is None else _where(record.torque, "torque", "N m"),
         _where(record.position, "motion", "mrad"),
         table_of(
             "set-up, in the order in which to mend it", record.faults, "fault where meaning remedy"
         ),
-        Table("effects: simulator -> arm", headings, effects, "ppprrp"),
-        Table(
-            "in both logs, and not in the robot's file",
-            ("effect", "where", "file -> both", "how sure"),
-            both,
-            "pppr",
+        table_of(
+            "effects: simulator -> arm",
+            record.which or (),
+            "name at more only numbers share how_sure ambiguous_with",
+        ),
+        table_of(
+            "in both logs, and not in the robot's file", record.both, "name at numbers how_sure"
         ),
         Table("servos, from commands and positions [95 %]", numbers, servos, "rp"),
     ]

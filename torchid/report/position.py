@@ -26,7 +26,7 @@ from torchid.report.panels import (
     map_with_bars,
     thin,
 )
-from torchid.report.table import Report, Table, cells, table_of
+from torchid.report.table import Report, Table, cells, joint_table, table_of
 from torchid.results.words import regime_words, unit_behind, within
 
 WORST = 3
@@ -191,9 +191,9 @@ def motion_table(record: PositionRecord) -> Table:
     rows = []
     for one in record.how_far.per_motion:
         errors = one.answered_mrad
-        rows.append((one.motion, *cells([*errors.tolist(), float(errors[moves].mean())], ".1f")))
-    columns = ("motion", *(j.name for j in record.where.joints), "mean")
-    return Table(f"Error of each motion, left out [{unit_of_errors(record)}]", columns, rows, "l")
+        rows.append((one.motion, [*errors.tolist(), float(errors[moves].mean())]))
+    title = f"Error of each motion, left out, per joint [{unit_of_errors(record)}]"
+    return joint_table(title, rows, ".1f", last=("mean",))
 
 
 def where_picture(record: PositionRecord) -> Picture:

@@ -450,6 +450,26 @@ def cell(value: float | None, digits: str = ".3g") -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:{digits}}"
 
 
+def joint_table(
+    title: str,
+    rows: "Iterable[tuple[str, Iterable[float] | Tensor]]",
+    digits: str = ".3g",
+    last: Sequence[str] = (),
+) -> Table:
+    """One column a joint, and one row of numbers a name.
+
+    Args:
+        title: of the table.
+        rows: names, and numbers of the joints and of the `last` columns, which may lack some.
+        digits: of the numbers.
+        last: headings of columns behind the joints'.
+    """
+    lines = [(name, *cells(values, digits)) for name, values in rows]
+    n = max(map(len, lines), default=1)
+    heads = ("", *joint_numbers(n - 1 - len(last)), *last)
+    return Table(title, heads, [(*line, *[""] * (n - len(line))) for line in lines], "p")
+
+
 def joint_numbers(n: int) -> list[str]:
     """Headings of one column a joint."""
     return [str(j + 1) for j in range(n)]
