@@ -11,7 +11,6 @@ from torchid.report.friction import friction_table
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words, stands_out
 from torchid.report.panels import Picture
 from torchid.report.table import Table, table_of
-from torchid.results.record import as_plain
 from torchid.results.words import (
     digits,
     effect_words,
@@ -19,7 +18,6 @@ from torchid.results.words import (
     listed,
     percent,
     regime_words,
-    value_words,
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
 
@@ -119,16 +117,8 @@ def remarks(record: GapRecord) -> list[str]:
 
 def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
-    experiment, entries = record.next_experiment, {}
-    if experiment is not None:
-        names = [effect_words(name) for name in experiment.separates]
-        entries = {**as_plain(experiment), "separates": names}
-    rows = [
-        (key.replace("_", " "), value_words(value, ".4g"))
-        for key, value in entries.items()
-        if value is not None
-    ]
-    return Table("next experiment", ("", " "), rows, "lp")
+    experiment = record.next_experiment
+    return table_of("next experiment", [] if experiment is None else [experiment])
 
 
 def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:

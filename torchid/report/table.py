@@ -16,7 +16,15 @@ from rich.text import Text
 
 from torchid.errors import visible
 from torchid.results.record import Col, Joint, Real
-from torchid.results.words import measure, number_list, unit_behind, unit_words, within
+from torchid.results.words import (
+    measure,
+    number_list,
+    short,
+    unit_behind,
+    unit_words,
+    value_words,
+    within,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -448,6 +456,16 @@ def cells(values: "Iterable[float | None] | Tensor", digits: str = ".3g") -> lis
 def cell(value: float | None, digits: str = ".3g") -> str:
     """A number; a dash where there is none, or it is not finite."""
     return "-" if value is None or not math.isfinite(value) else f"{value:{digits}}"
+
+
+def plain_table(
+    title: str, entries: Sequence[Mapping[str, object]], note: str = "", most: int = 60
+) -> Table:
+    """Plain data as a table: a row an entry, a column a key of the first."""
+    keys = list(entries[0]) if entries else []
+    rows = [[short(value_words(entry.get(key), ".4g"), 80) for key in keys] for entry in entries]
+    heads = [key.replace("_", " ") for key in keys]
+    return Table(title, heads, rows, "p" * len(keys), note, most=most)
 
 
 def joint_table(
