@@ -53,10 +53,10 @@ class Difference(Part, frozen=True):
         relative_percent: rms over that of the arm's signal; of positions about their mean.
     """
 
-    joint: Joint
-    rms: Real
-    noise: Real
-    relative_percent: Real
+    joint: Annotated[Joint, Col()]
+    rms: Annotated[Real, Col("RMS")]
+    noise: Annotated[Real, Col(digits=".2g")]
+    relative_percent: Annotated[Real, Col("of the arm's", unit="%")]
 
 
 class WherePair(Part, frozen=True):

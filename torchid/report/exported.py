@@ -17,7 +17,7 @@ from torchid.export.mjcf import attributes_of
 from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Report, Table, joint_table, table_of
+from torchid.report.table import Report, Table, joint_table, plain_table, table_of
 from torchid.results.words import count, effect_words, joints_words, listed, percent
 from torchid.robot.model import JointType, Robot, joint_unit, torque_unit
 from torchid.simulation.servo import Servos
@@ -143,22 +143,16 @@ def _kept(one: Kept, to: str) -> str:
 
 def _bodies(robot: Robot, nominal: Robot) -> Table:
     """Masses, how far centres of mass moved, and inertias, over the nominal ones."""
-    new = robot.require_parameters("a correction")
-    old = nominal.parameters
-    rows = []
+    new, old, links = robot.require_parameters("a correction"), nominal.parameters, []
     for i, name in enumerate(nominal.link_names):
-        cells = ["-", "-", "-"]
+        link: dict[str, object] = {"link": i + 1, "name": name, "mass [kg]": float(new.mass[i])}
         if old is not None and float(old.mass[i]) > 0:
-            moved = float((new.com[i] - old.com[i]).norm())
             ratios = inertia_eigenvalues(new)[i] / inertia_eigenvalues(old)[i].clamp(min=1e-12)
-            low, high = float(ratios.min()), float(ratios.max())
-            heavier = f"{float(new.mass[i] / old.mass[i]):.2f}"
-            cells = [heavier, f"{1e3 * moved:.0f}", f"{low:.2f} - {high:.2f}"]
-        rows.append((str(i + 1), name, f"{float(new.mass[i]):.3g}", *cells))
-    columns = (
-        "", "link", "mass [kg]", "over nominal", "centre moved [mm]", "inertias over nominal"
-    )  # fmt: skip
-    return Table("bodies in the file", columns, rows, "rp")
+            link["over nominal"] = float(new.mass[i] / old.mass[i])
+            link["centre moved [mm]"] = 1e3 * float((new.com[i] - old.com[i]).norm())
+            link["inertias over nominal"] = [float(ratios.min()), float(ratios.max())]
+        links.append(link)
+    return plain_table("bodies in the file", links)
 
 
 def report_of_randomisation(done: Randomisation, files: Sequence[str]) -> Report:

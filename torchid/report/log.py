@@ -14,7 +14,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Report, Table, cell, table_of
+from torchid.report.table import Cell, Report, Table, plain_table, table_of
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
@@ -81,19 +81,10 @@ def log_tables(seen: Overview) -> list[Table]:
         cells = ("-" if low != low else f"{low:.4g} .. {high:.4g}" for low, high in ends)
         ranges.append((f"{j + 1} {seen.joints[j]}" if seen.joints else str(j + 1), *cells))
     units = [f"{name} [{seen.units[name]}]" for name in seen.ranges]
-    headings = (
-        "", "samples", "from [s]", "for [s]", "rate [Hz]", "jitter [ms]", "gaps",
-        "longest step [ms]", "steps back",
-    )  # fmt: skip
-    trajectories = [
-        (t.name, str(t.samples), f"{t.start:.6g}", f"{t.duration:.5g}", cell(t.rate, ".5g"),
-         f"{1e3 * t.jitter:.3g}", str(t.gaps), f"{1e3 * t.longest:.4g}", str(t.backwards))
-        for t in seen.timing
-    ]  # fmt: skip
     return [
         Table("signals", ("", "from", "taken as"), signals, "ppp"),
         Table("smallest to largest", ("joint", *units), ranges, "p"),
-        Table("trajectories", headings, trajectories, "p", most=_SHOWN),
+        plain_table("trajectories [s; Hz]", [vars(t) for t in seen.timing], most=_SHOWN),
     ]
 
 
@@ -172,15 +163,8 @@ def signals_figure(log: Log, odd: Sequence[OddChannel] = ()) -> Figure:
 
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
-    rows = [
-        (
-            "read" if topic.name == read else "", topic.name, topic.type.replace("/msg/", "/"),
-            str(topic.messages), ", ".join(topic.signals), ", ".join(topic.joints),
-        )
-        for topic in topics
-    ]  # fmt: skip
-    columns = ("", "topic", "type", "messages", "with", "joints")
-    return Table("topics", columns, rows, "pppppp")
+    rows = [{"topic": one.name, **vars(one), "read": one.name == read} for one in topics]
+    return plain_table("topics", [{k: x for k, x in row.items() if k != "name"} for row in rows])
 
 
 def repeats_table(repeats: Sequence[Repeat]) -> Table:

@@ -9,7 +9,7 @@ from torchid.pair.record import OneSided, ServoDifference, WherePair
 from torchid.report import diagnosis
 from torchid.report.cautions import caution_section
 from torchid.report.gap_figures import CLEAR, excess_words
-from torchid.report.table import Origin, Page, Report, Section, Table, cell, table_of
+from torchid.report.table import Origin, Page, Report, Section, Table, table_of
 from torchid.results.words import (
     joints_words,
     listed,
@@ -128,8 +128,10 @@ def tables(pair: PairDiagnosis) -> list[Table | None]:
     ]  # fmt: skip
     numbers = ("joint", "parameter", "simulator", "arm", "differs")
     return [
-        None if record.torque is None else _where(record.torque, "torque", "N m"),
-        _where(record.position, "motion", "mrad"),
+        None
+        if record.torque is None
+        else _where(record.torque, "where: torque of the arm less the simulator's [N m; N]"),
+        _where(record.position, "where: motion of the arm less the simulator's [rad; m]"),
         table_of(
             "set-up, in the order in which to mend it", record.faults, "fault where meaning remedy"
         ),
@@ -145,20 +147,12 @@ def tables(pair: PairDiagnosis) -> list[Table | None]:
     ]
 
 
-def _where(where: WherePair, what: str, unit: str) -> Table:
+def _where(where: WherePair, title: str) -> Table:
     """Joints, and the regimes that hold more than their share."""
-    scale = 1e3 if unit == "mrad" else 1.0
-    rows = []
+    said = []
     for one in where.joints:
         clear = [r for r in where.regimes if r.joint == one.joint and r.p < CLEAR and r.excess > 0]
         clear.sort(key=lambda r: -r.excess)
-        noise = cell(scale * one.noise, ".2g")
-        rows.append(
-            (
-                str(one.joint + 1), f"{scale * one.rms:.3g}", noise, f"{one.relative_percent:.3g}",
-                ", ".join(map(excess_words, clear[:_MOST_REGIMES])) or "-",
-            )
-        )  # fmt: skip
+        said.append(", ".join(map(excess_words, clear[:_MOST_REGIMES])) or "-")
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    title = f"where: {what} of the arm less the simulator's [{unit}]"
-    return Table(title, ("joint", "RMS", "noise", "of the arm's [%]", regimes), rows, "rrrrp")
+    return table_of(title, where.joints, beside={regimes: said})

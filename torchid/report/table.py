@@ -461,9 +461,9 @@ def cell(value: float | None, digits: str = ".3g") -> str:
 def plain_table(
     title: str, entries: Sequence[Mapping[str, object]], note: str = "", most: int = 60
 ) -> Table:
-    """Plain data as a table: a row an entry, a column a key of the first."""
-    keys = list(entries[0]) if entries else []
-    rows = [[short(value_words(entry.get(key), ".4g"), 80) for key in keys] for entry in entries]
+    """Plain data as a table: a row an entry, a column a key."""
+    keys = list(dict.fromkeys(key for entry in entries for key in entry))
+    rows = [[short(value_words(one.get(key, "-"), ".4g"), 80) for key in keys] for one in entries]
     heads = [key.replace("_", " ") for key in keys]
     return Table(title, heads, rows, "p" * len(keys), note, most=most)
 
