@@ -49,7 +49,6 @@ class Table:
         align: a letter a column: `l` words that stay on one line, `p` words that may be broken, `r`
             numbers, as all columns are beyond the last letter.
         note: sentences below it.
-        least_width: characters in the terminal.
         most: rows that are printed; a page has all of them.
     """
 
@@ -58,7 +57,6 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     align: str = ""
     note: str = ""
-    least_width: int | None = None
     most: int | None = None
 
     @property
@@ -89,7 +87,6 @@ class Table:
         table.show_header = any(name.strip() for name in shown.columns)
         table.caption = Text(visible(shown.note), "table.caption") if shown.note else None
         table.caption_justify = "left"
-        table.min_width = None if widths else self.least_width
         for k, (name, letter) in enumerate(zip(shown.columns, shown.letters, strict=True)):
             table.add_column(
                 Text(visible(name)),
