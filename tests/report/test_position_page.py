@@ -10,7 +10,7 @@ from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.record import Accuracy
 from torchid.report.causes import cause_table
-from torchid.report.diagnosis import figures, page, report_of_diagnosis
+from torchid.report.diagnosis import page, report_of_diagnosis
 from torchid.report.over_time import Run, motion_over_time
 from torchid.report.page.document import origin, render
 from torchid.report.position import nominal_table, remarks, where_table, worst_joints
@@ -55,7 +55,7 @@ def test_without_a_finding():
 
 
 def test_figures_by_name(found):
-    assert set(figures(found)) == {"where", "gap_joint_2", "gap_joint_1"}
+    assert set(report_of_diagnosis(found).figures) == {"where", "motion"}
     assert worst_joints(found.record) == [1, 0]  # the third never moves
     assert "joint 1:" in found.plot("motion", joint=0).get_suptitle()
     # The joint is shown where the plain servo errs most: rows 400 to 599 of the first motion.

@@ -68,7 +68,8 @@ def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") ->
         )
     rests_on, odd = evidence(record), disagreement(record.agreement, most=1)
     warnings = (*([f"Caution: {odd}"] if odd else []), *record.warnings)
-    parts = (part for section in _sections(record) for part in section.parts)
+    live = result if isinstance(result, TorqueDiagnosis | PositionDiagnosis) else None
+    parts = [part for section in _sections(record, live) for part in section.parts]
     tables = (part for part in parts if isinstance(part, Table))
     return Report(
         screen=Screen(
@@ -81,8 +82,8 @@ def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") ->
         ],
         warnings=warnings,
         last=model,
-        figures=figures(result),
-        page=partial(page, result, model=model) if isinstance(result, Diagnosis) else None,
+        figures={part.name: part.draw for part in parts if isinstance(part, Picture)},
+        page=None if live is None else partial(page, live, model=model),
     )  # fmt: skip
 
 
@@ -239,19 +240,3 @@ def kinds(result: Diagnosis | DiagnosisRecord) -> Figures:
         assert isinstance(result, TorqueDiagnosis | PositionDiagnosis)
         drawn["motion"] = motion_over_time(result).draw
     return drawn
-
-
-def figures(result: Diagnosis | DiagnosisRecord) -> Figures:
-    """What draws the figure of each file, by their names: those of `kinds`, and the worst joints'
-    apart."""
-    record, drawn = result.record, dict(kinds(result))
-    motion, of_joint = drawn.pop("motion", None), drawn.pop("gap", None)
-    if isinstance(record, GapRecord):
-        worst = gap_figures.worst_joints(record)
-        if not gap_figures.stands_out(record):
-            del drawn["where"]
-    else:
-        assert isinstance(record, PositionRecord)
-        worst, of_joint = position.worst_joints(record), motion
-    each = {f"gap_joint_{j + 1}": partial(of_joint, j) for j in worst} if of_joint else {}
-    return {**drawn, **each}

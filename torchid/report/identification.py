@@ -1,7 +1,7 @@
 """An identification for people: tables, figures and page; and a payload."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -30,7 +30,7 @@ def report_of_identification(result: Identification) -> Report:
         parts=tables(result),
         warnings=result.warnings,
         verdict=verdict(result),
-        figures=figures(result),
+        figures={one.name: one.draw for one in _pictures(result)},
         page=partial(identification_page, result),
     )
 
@@ -367,17 +367,3 @@ def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[s
     if max(abs(value), std) < 1e-9:  # zero but for rounding, as a point's inertia is
         return "not part of the model", "-"
     return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
-
-
-def figures(result: Identification) -> Figures:
-    """How well each parameter is known, and torques of every trajectory: what draws each figure, by
-    the names of their files."""
-    drawn: dict[str, Callable[[], Figure | None]] = {
-        "parameters": partial(parameter_figure, result.record)
-    }
-    runs = {"fit": result.fit_predictions, "held_out": result.held_out_predictions}
-    for kind, predictions in runs.items():
-        for run in predictions:
-            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in run.name)
-            drawn[f"{kind}_{name}"] = partial(run_figure, result, run, kind == "held_out")
-    return drawn
