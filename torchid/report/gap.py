@@ -152,7 +152,7 @@ def where_picture(record: GapRecord) -> Picture | None:
     return Picture(
         "where",
         "Rows are joints, columns kinds of motion: a blue cell holds more of the joint's error "
-        "than its share of the time. The bars are the joints' shares of all of it. Joint "
+        "than its share of the time. Beside a joint stands its share of all of it. Joint "
         f"{worst + 1} holds {shares[worst]} of the error, "
         f"{when if clear else 'at no time more than at others'}.",
         f"Map of joints and kinds of motion. Shares of the error: {each}.",
