@@ -42,7 +42,7 @@ from torchid.identification.result import Identification, of_parameters
 from torchid.identification.settings import Settings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
-from torchid.results.record import Col, Part, Real, Record, Rows
+from torchid.results.record import Col, Ends, Part, Real, Record, Rows
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.shapes import reach
@@ -53,6 +53,12 @@ from torchid.typing import Bool, Float, Tensor
 PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
 
+QUANTITIES = (
+    ("mass", "kg"),
+    *((f"com {axis}", "m") for axis in "xyz"),
+    *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+"""Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
 _ROUGH = 0.2
 """Relative standard deviation of the mass above which first-order intervals are called rough."""
 
@@ -80,6 +86,22 @@ class Estimate(Part, frozen=True):
         return self.ci95[:, 1]
 
 
+class Quantity(Part, frozen=True):
+    """One of a payload's ten numbers, nan where the data do not tell it.
+
+    Attributes:
+        name, unit: of the number.
+        value, std: of it; both zero of what is not part of the model.
+        ci95: the 95 % interval.
+    """
+
+    name: Annotated[str, Col("quantity")]
+    unit: str
+    value: Annotated[Real, Col("value ± std", spread="std", unit_of="unit")]
+    std: Real
+    ci95: Annotated[Ends, Col("95 % interval", ".4g")]
+
+
 class Body(Part, frozen=True):
     """The payload in one frame.
 
@@ -95,6 +117,18 @@ class Body(Part, frozen=True):
     com: Estimate
     inertia_about_com: Estimate
     parameters: Estimate
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Mass, centre of mass and inertia about it, one by one."""
+        parts = (self.mass, self.com, self.inertia_about_com)
+        value, std = (torch.cat([getattr(x, key) for x in parts]) for key in ("value", "std"))
+        # 1e-9: zero but for rounding, as a point's inertia is
+        zero = torch.maximum(value.abs(), std) < 1e-9
+        columns = (x.masked_fill(zero, 0.0).tolist() for x in (value, std))
+        ends = ((low, high) for low, high in torch.cat([x.ci95 for x in parts]).tolist())
+        each = zip(QUANTITIES, *columns, ends, strict=True)
+        return tuple(Quantity(name, unit, x, s, own) for (name, unit), x, s, own in each)
 
 
 class Change(Part, frozen=True):

@@ -5,11 +5,10 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-import torch
 
 from torchid.errors import TorchidError
 from torchid.identification.identify import Identification
-from torchid.identification.payload import Body, Payload
+from torchid.identification.payload import Payload
 from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
@@ -290,14 +289,6 @@ _RESIDUAL = (
 )
 
 
-QUANTITIES = (
-    ("mass", "kg"),
-    *((f"com {axis}", "m") for axis in "xyz"),
-    *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
-)
-"""Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
-
-
 def report_of_payload(payload: Payload) -> Report:
     """All that there is to see of a payload."""
     said = payload_headline(payload)
@@ -306,16 +297,10 @@ def report_of_payload(payload: Payload) -> Report:
 
 def payload_tables(payload: Payload) -> list[Table]:
     """The body in the tool's and in the last link's frame, and what else changed, if anything."""
-    tool, link = (
-        [_payload_cells(*numbers) for _, _, *numbers in quantities(body)]
-        for body in (payload.tool, payload.link)
-    )
-    named = zip(QUANTITIES, tool, link, strict=True)
-    rows = [(*name, *own, *other) for name, own, other in named]
-    columns = ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %")
     title = "effects that changed with the load, not part of the payload"
     return [
-        Table(f"payload of {payload.robot} (value ± std, 95 % interval)", columns, rows, "ll"),
+        table_of(f"payload of {payload.robot} in the tool frame", payload.tool.quantities),
+        table_of("the same in the last link's frame", payload.link.quantities),
         table_of(title, payload.friction_changes),
     ]
 
@@ -348,22 +333,3 @@ def payload_headline(payload: Payload) -> str:
         f"{payload.robot} carries {float(mass.value):.4g} ± {half:.2g} kg (95 %), centre of mass "
         f"at ({place}) mm of the tool frame; {verdict}."
     )
-
-
-def quantities(body: Body) -> list[tuple[str, str, float, float, float, float]]:
-    """Name and unit, value, standard deviation and ends of the 95 % interval of a payload's ten
-    quantities."""
-    parts = (body.mass, body.com, body.inertia_about_com)
-    columns = (
-        torch.cat([getattr(x, name) for x in parts]).tolist()
-        for name in ("value", "std", "low", "high")
-    )
-    return [(*named, *numbers) for named, *numbers in zip(QUANTITIES, *columns, strict=True)]
-
-
-def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[str, str]:
-    if math.isnan(value):
-        return "not known", "-"
-    if max(abs(value), std) < 1e-9:  # zero but for rounding, as a point's inertia is
-        return "not part of the model", "-"
-    return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"

@@ -14,7 +14,6 @@ from torchid.results.words import (
     joints_words,
     listed,
     unit_behind,
-    within,
 )
 
 _MOST_REGIMES = 3
@@ -116,17 +115,6 @@ def page(pair: PairDiagnosis, origin: Origin) -> Page:
 def tables(pair: PairDiagnosis) -> list[Table | None]:
     """Where torque and motion differ, faults, effects."""
     record = pair.record
-    servos = [
-        (
-            str(s.joint + 1), f"{s.parameter} / kp" if s.per_kp else s.parameter,
-            # A side without an interval does not have it.
-            *("-" if ends is None else within(value, ends, s.unit) for value, ends in
-              ((s.simulated, s.simulated_ci95), (s.real, s.real_ci95))),
-            "yes" if s.differs else "no",
-        )
-        for s in record.servos or ()
-    ]  # fmt: skip
-    numbers = ("joint", "parameter", "simulator", "arm", "differs")
     return [
         None
         if record.torque is None
@@ -143,7 +131,11 @@ def tables(pair: PairDiagnosis) -> list[Table | None]:
         table_of(
             "in both logs, and not in the robot's file", record.both, "name at numbers how_sure"
         ),
-        Table("servos, from commands and positions [95 %]", numbers, servos, "rp"),
+        table_of(
+            "servos, from commands and positions [95 %]",
+            record.servos or (),
+            "joint number simulator arm differs",
+        ),
     ]
 
 

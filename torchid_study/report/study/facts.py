@@ -9,7 +9,6 @@ import torch
 
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import nominal_set
-from torchid.report.identification import quantities
 from torchid.results.words import count, listed
 from torchid.robot.inertia import InertialParameters
 from torchid.typing import Float, Int, Tensor
@@ -113,8 +112,8 @@ def payload_quantities(study: Study) -> list[tuple[str, str, float, float, float
     the payload, in the tool frame."""
     body = InertialParameters(study.payload.true)
     true = torch.cat([body.mass.reshape(1), body.com, body.inertia_about_com]).tolist()
-    estimated = zip(quantities(study.payload.estimate.tool), true, strict=True)
-    return [(name, unit, t, value, low, high) for (name, unit, value, _, low, high), t in estimated]
+    estimated = zip(study.payload.estimate.tool.quantities, true, strict=True)
+    return [(x.name, x.unit, t, x.value, *x.ci95) for x, t in estimated]
 
 
 def verdict(study: Study) -> list[str]:
