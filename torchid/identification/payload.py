@@ -125,10 +125,10 @@ class Body(Part, frozen=True):
         value, std = (torch.cat([getattr(x, key) for x in parts]) for key in ("value", "std"))
         # 1e-9: zero but for rounding, as a point's inertia is
         zero = torch.maximum(value.abs(), std) < 1e-9
+        ends = torch.cat([x.ci95 for x in parts]).masked_fill(zero[:, None], 0.0).tolist()
         columns = (x.masked_fill(zero, 0.0).tolist() for x in (value, std))
-        ends = ((low, high) for low, high in torch.cat([x.ci95 for x in parts]).tolist())
         each = zip(QUANTITIES, *columns, ends, strict=True)
-        return tuple(Quantity(name, unit, x, s, own) for (name, unit), x, s, own in each)
+        return tuple(Quantity(name, unit, x, s, (a, b)) for (name, unit), x, s, (a, b) in each)
 
 
 class Change(Part, frozen=True):

@@ -438,7 +438,7 @@ def _cell(entry: object, name: str, col: Col) -> str:
         case float():
             return f"{value:{col.digits}} {unit_behind(unit)}".rstrip()
         case (float(), float()):
-            return " .. ".join(cells(value, col.digits))
+            return " .. ".join(dict.fromkeys(cells(value, col.digits)))
         case tuple() | list():
             numbers = all(isinstance(x, int | float) for x in value)
             return (number_list(value) if numbers else ", ".join(map(str, value))) or "-"
@@ -462,7 +462,9 @@ def plain_table(
     keys = list(dict.fromkeys(key for entry in entries for key in entry))
     rows = [[short(value_words(one.get(key, "-"), ".4g"), 80) for key in keys] for one in entries]
     heads = [key.replace("_", " ") for key in keys]
-    return Table(title, heads, rows, "p" * len(keys), note, most=most)
+    numbers = [all(type(one.get(key)) in (int, float) for one in entries) for key in keys]
+    letters = "".join("r" if number else "p" for number in numbers)
+    return Table(title, heads, rows, letters, note, most=most)
 
 
 def joint_table(
