@@ -81,12 +81,11 @@ class Table:
         headings and cells at their spaces; no number is cut, and the last columns for which there
         is no room are left out."""
         shown, widths, gap = self.printed._fitted(options.max_width)
-        title = Text(visible(self.title), "table.title")
-        table = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+        if self.title:
+            yield Text(visible(self.title), "table.title")
+        table = RichTable(box=box.SIMPLE_HEAD)
         table.padding = (0, gap > 1, 0, gap > 2)
         table.show_header = any(name.strip() for name in shown.columns)
-        table.caption = Text(visible(shown.note), "table.caption") if shown.note else None
-        table.caption_justify = "left"
         for k, (name, letter) in enumerate(zip(shown.columns, shown.letters, strict=True)):
             table.add_column(
                 Text(visible(name)),
@@ -101,6 +100,8 @@ class Table:
             else:
                 table.add_section()
         yield table
+        if shown.note:
+            yield Text(visible(shown.note), "table.caption")
 
     def _fitted(self, room: int) -> "tuple[Table, list[int], int]":
         """The table with those columns that fit into `room` characters, their widths, none where
