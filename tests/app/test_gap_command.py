@@ -195,13 +195,13 @@ def test_ctrl_c_writes_over_no_whole_answer(command, runs, tmp_path, monkeypatch
     monkeypatch.setattr("torchid.gap.torque.decide", stopped)
     out = tmp_path / "out"
     out.mkdir()
-    for file in (tmp_path / "a.json", out / "gap.json", out / "gap_joint_1.png"):
+    for file in (tmp_path / "a.json", out / "gap.json", out / "where.png"):
         file.write_text("whole")
     for where in (("--json", tmp_path / "a.json"), ("--out", out, "--overwrite")):
         assert command("gap", "3r", runs / "a.csv", *FEW, *where).code == 130
     held = {p.name: p.read_text() for p in (*tmp_path.glob("*.json"), *out.iterdir())}
     assert json.loads(held.pop("so_far.json"))["schema"] == "torchid.so_far/1"
-    assert held == dict.fromkeys(("a.json", "gap.json", "gap_joint_1.png"), "whole")
+    assert held == dict.fromkeys(("a.json", "gap.json", "where.png"), "whole")
     assert (tmp_path / "so_far.json").is_file()
     assert (out / "so_far.json").is_file()
 

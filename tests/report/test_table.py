@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec.json import encode
 from rich.console import Console
 
-from torchid.report.table import Table, table_of
+from torchid.report.table import Table, joint_table, plain_table, table_of
 from torchid.results.record import Col, Ends, Joint, Part, Real, as_plain
 from torchid.results.words import percent
 from torchid.typing import Float, Tensor
@@ -105,6 +105,23 @@ def printed(table: Table, width: int) -> list[str]:
 
 
 NUMBERS = st.floats(-1e6, 1e6, width=32).map("{:.6g}".format)
+
+
+def test_one_row_a_name_and_one_column_a_joint():
+    rows = [("fit", [1.234, math.nan, 3.0]), ("RMSE", torch.tensor([0.5, 0.25]))]
+    table = joint_table("errors", rows, last=("mean",))
+    assert table.columns == ("", "1", "2", "mean")
+    assert table.rows == [("fit", "1.23", "-", "3"), ("RMSE", "0.5", "0.25", "")]
+
+
+def test_plain_data_have_a_column_a_key():
+    entries = [{"name": "a", "from_s": 1.23456, "k": 1, "ends": [None, 2.0]}, {"k": 2, "ok": True}]
+    table = plain_table("", entries)
+    assert table.columns == ["name", "from s", "k", "ends", "ok"]
+    assert table.rows == [["a", "1.235", "1", "none, 2", "-"], ["-", "-", "2", "-", "yes"]]
+    assert table.letters == "pprpp"
+
+
 WORDS = st.lists(st.text("abcdefgh", min_size=1, max_size=9), min_size=1, max_size=9).map(" ".join)
 
 

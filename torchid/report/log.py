@@ -14,7 +14,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Report, Table, cell
+from torchid.report.table import Cell, Report, Table, plain_table, table_of
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
@@ -81,27 +81,10 @@ def log_tables(seen: Overview) -> list[Table]:
         cells = ("-" if low != low else f"{low:.4g} .. {high:.4g}" for low, high in ends)
         ranges.append((f"{j + 1} {seen.joints[j]}" if seen.joints else str(j + 1), *cells))
     units = [f"{name} [{seen.units[name]}]" for name in seen.ranges]
-    trajectories: list[tuple[Cell, ...]] = []
-    for t in seen.timing[:_SHOWN]:
-        back = Text(f" ({t.backwards} steps back)" if t.backwards else "", "red")
-        times = (
-            f"{t.start:.6g}",
-            f"{t.duration:.5g}",
-            cell(t.rate, ".5g"),
-            f"{1e3 * t.jitter:.3g}",
-        )
-        gaps = Text.assemble(str(t.gaps), back)
-        trajectories.append((t.name, str(t.samples), *times, gaps, f"{1e3 * t.longest:.4g}"))
-    if len(seen.timing) > _SHOWN:
-        trajectories.append((f"and {len(seen.timing) - _SHOWN} more",))
-    headings = (
-        "", "samples", "from [s]", "for [s]", "rate [Hz]", "jitter [ms]", "gaps",
-        "longest step [ms]",
-    )  # fmt: skip
     return [
         Table("signals", ("", "from", "taken as"), signals, "ppp"),
         Table("smallest to largest", ("joint", *units), ranges, "p"),
-        Table("trajectories", headings, trajectories, "p"),
+        plain_table("trajectories [s; Hz]", [vars(t) for t in seen.timing], most=_SHOWN),
     ]
 
 
@@ -173,23 +156,11 @@ def signals_figure(log: Log, odd: Sequence[OddChannel] = ()) -> Figure:
 
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
-    rows = [
-        (
-            "read" if topic.name == read else "", topic.name, topic.type.replace("/msg/", "/"),
-            str(topic.messages), ", ".join(topic.signals), ", ".join(topic.joints),
-        )
-        for topic in topics
-    ]  # fmt: skip
-    columns = ("", "topic", "type", "messages", "with", "joints")
-    return Table("topics", columns, rows, "pppppp")
+    rows = [{"topic": one.name, **vars(one), "read": one.name == read} for one in topics]
+    return plain_table("topics", [{k: x for k, x in row.items() if k != "name"} for row in rows])
 
 
 def repeats_table(repeats: Sequence[Repeat]) -> Table:
     """Motions made more than once: what differs between them is noise."""
-    rows = []
-    for r in repeats[:_SHOWN]:
-        first, second, seconds = (f"{x:.2f}" for x in (r.start_first, r.start_second, r.duration))
-        rows.append((r.first, first, r.second, second, seconds))
-    columns = ("trajectory", "from [s]", "again in", "from [s]", "for [s]")
     title = "repeated motion: what differs between the two is noise"
-    return Table(title, columns, rows, "ppppp")
+    return table_of(title, repeats, most=_SHOWN)

@@ -40,7 +40,6 @@ class Picture:
         alt: what those who do not see it must know.
         draw: the figure.
         narrow: the same figure for a phone; None where the wide one scrolls sideways there.
-        numbers: what a page's script draws in its place, to be zoomed (`OverTime.numbers`).
     """
 
     name: str
@@ -48,7 +47,6 @@ class Picture:
     alt: str
     draw: Callable[[], Figure]
     narrow: Callable[[], Figure] | None = None
-    numbers: Callable[[], Mapping[str, Any]] | None = None
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -245,19 +243,17 @@ def shaded_map(
     return bar
 
 
-def map_with_bars(
+def map_with_words(
     title: str,
     heading: str,
     rows: Sequence[str],
     columns: Sequence[str],
     shades: np.ndarray,
-    cells: Mapping[tuple[int, int], tuple[str, Mapping[str, Any]]],
+    cells: Mapping[tuple[int, int], tuple[str, dict[str, Any]]],
     label: str,
-    bars: tuple[str, Sequence[float], Sequence[str], str, float],
     most: float | None = None,
-    width: float = 9.0,
 ) -> tuple[Figure, Any]:
-    """A map with words in its cells, and bars beside its rows; the figure, and the bar of colours.
+    """A map with words in its cells; the figure, and the bar of colours.
 
     Args:
         title, heading: of the figure, and above the map.
@@ -265,26 +261,15 @@ def map_with_bars(
         shades: (rows, columns) from 0 on.
         cells: text and style by row and column.
         label: of the bar of colours.
-        bars: title, lengths, words, colour and right end.
         most: with the deepest blue; the largest if None.
-        width: of the figure [inch].
     """
-    figure = new_figure(width, 2.0 + 0.42 * len(rows))
-    axes, beside = figure.subplots(1, 2, width_ratios=(len(columns), 2), sharey=True)
+    figure = new_figure(9.0, 2.0 + 0.42 * len(rows))
+    axes = figure.subplots()
     scale = shaded_map(axes, shades, columns, rows, label, most)
     for (y, x), (text, style) in cells.items():
-        look = {"fontsize": SMALL, "color": INK} | dict(style)
+        look: Mapping[str, Any] = {"fontsize": SMALL, "color": INK} | style
         axes.text(x, y, text, ha="center", va="center", **look)
-    name, lengths, words, colour, right = bars
-    styled(beside).barh(range(len(lengths)), lengths, color=colour, height=0.6)
-    for y, (value, said) in enumerate(zip(lengths, words, strict=True)):
-        beside.text(value, y, said, va="center", fontsize=SMALL, color=INK)
-    beside.set(xlim=(0, right), xticks=[])
-    beside.tick_params(which="both", length=0, labelleft=False)
-    beside.grid(False)
-    beside.spines["bottom"].set_visible(False)
-    for part, own in ((axes, heading), (beside, name)):
-        part.set_title(own, fontsize=SMALL, color=INK, loc="left")
+    axes.set_title(heading, fontsize=SMALL, color=INK, loc="left")
     return finish(figure, title), scale
 
 
