@@ -82,27 +82,3 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
     refused = command("export", record, "--robot", "ur10e", *logs, "--to", "urdf", "--out", out)
     assert refused.code == 1
     assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("correct", "--to", "mjcf", "--effects", "none"), ("--effects", "all")),
-        (
-            ("correct", "--to", "mjcf", "--held-out", "LOG", "--held-out-fraction", "0.2"),
-            ("exclude",),
-        ),
-        (("correct", "--to", "mjcf", "--name", "../x", *FEW), ("name",)),
-    ],
-)
-def test_bad_options(command, folder, tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    name, *rest = arguments
-    other = folder / "fit.parquet"
-    outcome = command(
-        name, "3r", folder / "check.csv", *(other if word == "LOG" else word for word in rest)
-    )
-    assert outcome.code == 1
-    for word in words:
-        assert word in outcome.err, outcome.err
-    assert not list(tmp_path.iterdir())

@@ -75,39 +75,6 @@ def test_friction_that_is_known_is_no_news(command, tmp_path):
     assert "no friction" not in done.out
 
 
-@pytest.mark.parametrize(
-    ("robot", "arguments", "message"),
-    [
-        pytest.param("6r", ("--floor", 0.8), "clear of the floor", marks=pytest.mark.slow),
-        ("6r", ("--workspace", "1,0,0,1,0,1"), "a workspace is a box"),
-        ("6r", ("--workspace", "0,1,0,1,0"), "a workspace is a box"),
-        ("6r", ("--workspace", "a,1,0,1,0,1"), "--workspace is not a number"),
-        ("6r", ("--clearance", -1), "a clearance is a distance"),
-        ("6r", ("--speed", 0), "--speed must be positive"),
-        ("6r", ("--speed", 1.5), "share of the designed speed"),
-        ("6r", ("--speed", 1e-6), "more than ten million samples"),
-        ("6r", ("--count", 2, "--ros2", "M"), "hold one motion"),
-        ("7r", ("--urscript", "M"), "cannot run a URScript program"),
-    ],
-)
-def test_refused_and_nothing_written(command, tmp_path, robot, arguments, message):
-    arm = shaped_arm(robot, tmp_path)
-    given = [tmp_path / "motion" if a == "M" else a for a in arguments]
-    done = command("excite", arm, *RANDOM, "--to", tmp_path / "m.csv", *given)
-    assert done.code == 1
-    assert message in words(done.err)
-    assert [path.name for path in tmp_path.iterdir()] == [arm.name]
-
-
-def test_table_5_1_is_not_repaired(command, tmp_path):
-    target = tmp_path / "m.csv"
-    done = command("excite", "3r", "--kind", "paper", "--floor", 0, "--to", target)
-    assert done.code == 1
-    assert "table 5.1" in done.err
-    assert not target.exists()
-    assert command("excite", "3r", "--kind", "paper", "--floor", -2, "--to", target).code == 0
-
-
 @pytest.mark.nightly
 def test_commands_for_an_arm_without_torque(command, tmp_path):
     diagnosis().save(tmp_path / "gap.json")

@@ -64,25 +64,6 @@ def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     assert len(json.loads((tmp_path / "fleet.json").read_text())["logs"]) == 4
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ((), "logs of a fleet are needed"),
-        (("--manifest", "none.csv"), "cannot be read"),
-        (("LOGS", "--array", "3/2"), "--array is no part"),
-        (("LOGS", "--array", "1/2"), "a place that all of them see"),
-        (("LOGS", "--scheduler", "tcp://a:1"), "a place that all of them see"),
-        (("LOGS", "--workers", "2", "--scheduler", "tcp://a:1"), "exclude each other"),
-        (("LOGS", "--cutoff", "-1"), "cut-off is out of range"),
-    ],
-)
-def test_bad_input(command, folder, arguments, said) -> None:
-    words = [folder if word == "LOGS" else word for word in arguments]
-    done = command("fleet", "identify", "3r_friction", *words)
-    assert done.code == 1
-    assert said in done.err
-
-
 @pytest.mark.nightly
 def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> None:
     pytest.importorskip("jinja2")

@@ -46,17 +46,6 @@ def test_effects_of_a_robot_are_looked_at_by_every_command(command, tmp_path, re
     assert said in done.err
 
 
-def test_a_log_that_stands_still_is_refused(command, broken) -> None:
-    def still(table):
-        for name in table:
-            if name[0] in "qd":
-                table[name] *= 0
-
-    done = command("identify", "3r_friction", broken(still))
-    assert done.code == 1
-    assert "no joint moves" in done.err
-
-
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -9,7 +9,6 @@ import typer
 from typer.testing import CliRunner
 
 from torchid.app.identify import payload_command
-from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.payload import with_payload
@@ -83,24 +82,3 @@ def test_quiet_prints_nothing(logs):
         "--quiet", "--model", "point_mass", "--effects", "viscous_friction,coulomb_friction",
     )  # fmt: skip
     assert (got.exit_code, got.output) == (0, "")
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--cutoff", "-1"], "--cutoff"),
-        (["--effects", "magic"], "magic"),
-        (["--gain", "1,2"], "--gain"),
-    ],
-)
-def test_mistakes_are_one_message(logs, options, said):
-    got = call(
-        "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", *options
-    )  # fmt: skip
-    assert isinstance(got.exception, TorchidError)
-    assert said in str(got.exception)
-
-
-def test_a_log_with_payload_is_required(logs):
-    got = call("3r_friction", logs / "empty.parquet")
-    assert got.exit_code == 2
