@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 import torch
 
-
 from tests.app.conftest import table_of, write_table
 from tests.app.test_check_command import sets_file
 from tests.excitation.shaped import shaped_arm
@@ -336,11 +335,11 @@ simulate my_arm.urdf good.csv --save a.csv | inertial parameters
 simulate 3r motion.csv | nowhere to write
 simulate kuka_lwr4 motion.csv --save a.csv | 3 | 7
 simulate 3r motion.csv --save a.csv --effect coulom:joint=2 | unknown effect 'coulom'
-simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=2 | (Coulomb friction) is missing
+simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=2 | is missing
 simulate 3r motion.csv --save a.csv --effect coulomb_friction:Fc=1 | joint (1 to 3) is missing
-simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=4,Fc=1 | joint that does not exist
+simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=4,Fc=1 | does not exist
 simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=1,Fc=high | Fc is not a number
-simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=1,Fc=1,Fv=2 | does not belong
+simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=1,Fc=1,Fv=2 | not belong
 simulate 3r motion.csv --save a.csv --effect coulomb_friction:joint=1,Fc | cannot be read at 'Fc'
 simulate 3r motion.csv --save a.csv --effect saturation:joint=1,clip=1 | limit [N m]
 simulate 3r motion.csv --save a.csv --rate 200 | expected: effects, or --closed-loop

@@ -30,7 +30,7 @@ from torchid.identification.payload import (
     payload_from_evidence,
     with_payload,
 )
-from torchid.identification.payload_fit import known_rows, last_link_columns, nearest_consistent
+from torchid.identification.payload_fit import known_rows, nearest_consistent
 from torchid.log.model import Log
 from torchid.report.identification import payload_tables
 from torchid.robot.inertia import InertialParameters, move, paper_order
@@ -542,12 +542,6 @@ def test_the_record_is_complete_json():
     assert len(data["effect_changes"]) == len(found.effect_changes) > 0
     assert data["consistent_within_interval"]
     assert data["parameters"]["names"] == list(_NAMES)
-
-
-def test_the_last_links_columns_are_what_a_payload_adds():
-    robot = arm("panda")
-    base, change = noiseless_change(robot, BOX)
-    torch.testing.assert_close(last_link_columns(robot, base) @ BOX, change, rtol=0, atol=1e-12)
 
 
 def test_a_change_that_no_rigid_payload_makes_is_not_sure_of_a_mass():
