@@ -9,11 +9,10 @@ from tests.arms import QUICK_ARMS, arm
 from tests.effects.exact_logs import smooth_motion
 from tests.oracles import PinocchioOracle
 from torchid.dynamics.forward import gravity_torque
-from torchid.effects.inertia import Payload
 from torchid.effects.transient import RAMP, Contact, DroppedSamples, Saturation
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.model import link_poses, tool_pose
+from torchid.robot.model import link_poses
 from torchid.robot.placement import pose
 
 
@@ -38,20 +37,6 @@ def test_clips_both_signs_and_many_limits_at_once() -> None:
     assert motion.torque is not None
     for limit, column in zip((0.5, 2.0, 1e9), columns[..., 0], strict=True):
         torch.testing.assert_close(motion.torque + column, motion.torque.clamp(-limit, limit))
-
-
-@pytest.mark.parametrize("name", QUICK_ARMS)
-def test_contact_is_the_work_of_the_force(name: str) -> None:
-    """J' from central differences of the tool's position."""
-    robot = arm(name)
-    motion = smooth_motion(robot, 20)
-    columns = Contact().torque_columns(motion, robot)
-    h = 1e-6
-    for j in range(robot.n):
-        step = torch.zeros(robot.n, dtype=torch.float64)
-        step[j] = h
-        moved = tool_pose(robot, motion.q + step) - tool_pose(robot, motion.q - step)
-        torch.testing.assert_close(columns[:, j], moved[:, :3, 3] / (2 * h), rtol=1e-7, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", ["panda", "ur10e", "3r"])
@@ -116,17 +101,6 @@ def test_contact_keeps_its_digits_in_a_user_s_float32_world() -> None:
     finally:
         torch.set_default_dtype(default)
     torch.testing.assert_close(again, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_contact_holds_a_weight() -> None:
-    """A tool that pushes up with m g carries what a payload of mass m at the tool weighs."""
-    robot = arm("panda")
-    motion = smooth_motion(robot, 20)
-    still = motion._replace(dq=0 * motion.dq, ddq=0 * motion.ddq)
-    m, (x, y, z) = 2.0, robot.tool[:3, 3].tolist()
-    payload = Payload().all_torques(still, [m, m * x, m * y, m * z, *[0.0] * 6], robot)
-    force = (-m * robot.gravity).tolist()
-    torch.testing.assert_close(Contact().all_torques(motion, force, robot), payload)
 
 
 def test_contact_in_a_window_comes_and_goes_smoothly() -> None:
