@@ -35,7 +35,7 @@ COMMANDS = {
     "effects": "effects --out out",
 }
 """Quick ones first."""
-QUICK = 10
+QUICK = 9
 
 
 @pytest.fixture(scope="module")

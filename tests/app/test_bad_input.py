@@ -361,6 +361,7 @@ fleet identify 3r unit_a unit_b --workers 2 --scheduler tcp://a:1 | exclude each
 fleet identify 3r unit_a unit_b --cutoff -1 | cut-off is out of range
 fleet identify 3r unit_a unit_b --save-model x.txt | --save-model
 fleet identify 3r unit_a unit_b --unit unit_a | --save-model
+log doctor kuka_lwr4 good.csv | got: 3 | expected: 7
 log show degrees.csv --columns "q=angle_{j}" | angle_{j}
 """
 """Command | what its error says | and further words of it."""

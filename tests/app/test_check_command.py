@@ -108,15 +108,6 @@ def test_mjcf(tmp_path):
     assert data["sets"][0]["plausibility"] == []
 
 
-def test_names_with_brackets_are_printed_as_they_are(tmp_path):
-    def rename(data):
-        data["sets"][0]["id"] = "run[/3]"
-
-    got = call(sets_file(tmp_path / "s.json", change=rename), "--robot", "3r")
-    assert got.exit_code == 0, got.output
-    assert "run[/3] is feasible" in said(got)
-
-
 def test_the_nearest_feasible_sets(tmp_path):
     pytest.importorskip("clarabel")
     near = tmp_path / "near.json"
@@ -184,41 +175,6 @@ def inertial(ixx, iyy, izz, mass=1.0, extra=""):
 GOOD, BAD = inertial(0.02, 0.02, 0.02), inertial(0.001, 0.001, 0.003)
 
 
-def test_a_urdf_that_breaks_the_triangle_inequality(tmp_path):
-    path = tmp_path / "r.urdf"
-    path.write_text(URDF.format(base="", arm=GOOD, hand=BAD, kind="revolute"))
-    got = call(path, "--json", tmp_path / "f.json")
-    assert got.exit_code == 0
-    assert "inertia_2 breaks the triangle inequality (by 50 %)" in said(got)
-    data = json.loads((tmp_path / "f.json").read_text())
-    assert data["sets"][0]["links"][1]["name"] == "hand"
-    assert data["sets"][0]["reasons"] == ["inertia_2"]
-
-
-def test_a_bad_inertial_hidden_by_a_fixed_joint_is_named(tmp_path):
-    path = tmp_path / "r.urdf"
-    path.write_text(URDF.format(base=BAD, arm=GOOD, hand=BAD, kind="fixed"))
-    got = call(path, "--json", tmp_path / "f.json")
-    assert got.exit_code == 0
-    (entry,) = json.loads((tmp_path / "f.json").read_text())["sets"]
-    # The sum of both is a body.
-    assert entry["feasible"]
-    own = [f for f in entry["plausibility"] if f["what"] == "own_triangle"]
-    assert [(f["name"], f["link"]) for f in own] == [("base", None), ("hand", 1)]
-    assert "the <inertial> of 'hand' (merged into link 1) breaks the triangle" in said(got)
-
-
-def test_shapes_of_the_urdf_are_the_geometry(tmp_path):
-    ball = '<visual><geometry><sphere radius="0.3"/></geometry></visual>'
-    path = tmp_path / "r.urdf"
-    path.write_text(
-        URDF.format(base="", arm=inertial(0.02, 0.02, 0.02, extra=ball), hand="", kind="fixed")
-    )
-    got = call(path)
-    assert got.exit_code == 0
-    assert "centres of mass in boxes: shapes (visual)" in said(got)
-
-
 def test_the_yamls_total_mass_is_checked_unless_refused(tmp_path):
     import yaml
 
@@ -247,10 +203,6 @@ def test_parameters_of_one_robot_against_another(tmp_path):
     other = tmp_path / "other.urdf"
     other.write_text(path.read_text().replace('xyz="0 1 0"', 'xyz="1 0 0"'))
     assert "place the frames of links 1" in said(call(path, "--robot", other))
-
-
-def test_bounds_of_a_search_can_be_named():
-    assert "Fv6 = -0.0132 is outside" in said(call("kuka_lwr4_friction", "--bounds", "from-robot"))
 
 
 @pytest.mark.real

@@ -11,9 +11,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchid.effects.base import Motion
-from torchid.excitation.synthetic import nominal_torque
-from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
@@ -174,27 +171,6 @@ def weak_arm(tmp_path):
     return made
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["optimised", "random", "sinusoid", "paper"])
-def test_excite_says_what_it_asks_of_the_drives(command, weak_arm, tmp_path, kind):
-    arm, target, data = weak_arm(0.6, 3, 0.8), tmp_path / "m.csv", tmp_path / "m.json"
-    done = command("excite", arm, "--kind", kind, "--restarts", 1, "--to", target, "--json", data)
-    assert done.code == 0, done.err
-    assert "largest torque, by the nominal parameters" in done.out
-    said = json.loads(data.read_text())["torque"]
-    assert (said["checked"], said["model"]) == (True, "nominal parameters")
-    shares = [joint["share"] for joint in said["joints"]]
-    log = read_log(target)
-    tau = nominal_torque(load_robot(arm), Motion(log.q, log.dq, log.ddq)).abs().amax(0)
-    limits = [joint["limit"][1] for joint in said["joints"]]
-    assert limits == [0.6, 3, 0.8]
-    assert (tau / torch.tensor(limits, dtype=torch.float64)).tolist() == pytest.approx(
-        shares, rel=0.02
-    )
-    # Table 5.1 is printed as it is, whatever the arm.
-    assert (max(shares) < 1) == (kind != "paper")
-
-
 def test_excite_beyond_every_drive_writes_nothing(command, weak_arm, tmp_path):
     done = command("excite", weak_arm(0.6, 3, 0.1), "--out", tmp_path / "out")
     assert done.code == 1
@@ -214,20 +190,6 @@ def test_excite_says_that_torque_limits_were_not_checked(command, tmp_path, robo
         == ("no inertial parameters" in said["reason"])
         == limited
     )
-
-
-def test_simulate_paper_noise_leaves_no_error(command, tmp_path):
-    """The report's noise is on the trajectory: the coefficients come out to rounding."""
-    motion, log, target = tmp_path / "m.csv", tmp_path / "log.parquet", tmp_path / "id.json"
-    command("excite", "3r", "--kind", "paper", "--to", motion)
-    command("simulate", "3r", motion, "--noise", "paper", "--to", log)
-    shown = command("identify", "3r", log, "--effects", "none", "--cutoff", "none", "--method",
-                    "ols", "--json", target)  # fmt: skip
-    assert shown.code == 0, shown.err
-    values = {p["name"]: p["value"] for p in json.loads(target.read_text())["parameters"]}
-    assert len(values) == 15
-    assert values["m3c3y"] == pytest.approx(0.0024, abs=1e-11)
-    assert values["J2xx - J2yy + J2zz"] == pytest.approx(0.000498, abs=1e-11)
 
 
 @pytest.mark.slow

@@ -62,31 +62,3 @@ def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     done = command(*asked, "--json", tmp_path / "fleet.json")
     assert done.code == 0, done.err
     assert len(json.loads((tmp_path / "fleet.json").read_text())["logs"]) == 4
-
-
-@pytest.mark.nightly
-def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> None:
-    pytest.importorskip("jinja2")
-    page = tmp_path / "gaps.html"
-    done = command(
-        "fleet", "gap", "3r", folder, "--effects", "viscous_friction,coulomb_friction",
-        "--parameters", "trusted", "--out", tmp_path / "out", "--report", page,
-    )  # fmt: skip
-    assert done.code == 0, done.err
-    data = json.loads((tmp_path / "out" / "fleet_gap.json").read_text())
-    assert data["schema"] == "torchid.fleet_gap/1"
-    # Logs as short as these show that there is friction, and hardly of which kind.
-    named = {e["effect"] for e in data["effects"]}
-    assert "coulomb_friction" in named
-    assert named <= {"viscous_friction", "coulomb_friction"}
-    # Some kind of it on each of three joints, in every unit.
-    assert sum(e["share"] for e in data["effects"]) == 3.0
-    text = page.read_text()
-    assert "script-src 'sha256-" in text
-    assert "arm-001" in text
-    again = command(
-        "fleet", "gap", "3r", folder, "--effects", "viscous_friction,coulomb_friction",
-        "--parameters", "trusted", "--out", tmp_path / "out",
-    )  # fmt: skip
-    assert again.code == 0, again.err
-    assert json.loads((tmp_path / "out" / "fleet_gap.json").read_text()) == data

@@ -175,30 +175,6 @@ def test_logs_of_two_rates_are_resampled_to_the_lower(command, runs, held_out):
     assert "resampled to 100 Hz" in " ".join(done.out.split())
 
 
-@pytest.mark.nightly
-def test_what_is_simulated_is_found(command, runs, tmp_path, types_unchecked):
-    """`torchid simulate --effect`, then `torchid gap`: the arm moved under control."""
-    logs = []
-    for k in (0, 1, 2):
-        path = tmp_path / f"trajectory{k}.csv"
-        motion = random_trajectory(load_robot("3r"), k, duration=8.0, fill=True)
-        write_log(trajectory_log(motion, 200.0), path)
-        logs.append(tmp_path / f"log{k}.parquet")
-        friction = "coulomb_friction:joint=2,Fc=0.6"
-        done = command("simulate", "3r", path, "--effect", friction, "--to", logs[-1], "--seed", k)
-        assert done.code == 0, done.err
-    target = tmp_path / "gap.json"
-    done = command("gap", "3r", *logs, "--json", target)
-    assert done.code == 0, done.err
-    said = json.loads(target.read_text())
-    assert said["status"] in ("explained", "detected_unexplained")
-    first = said["which"][0]
-    assert (first["family"], first["joints"]) == ("sign", [2])
-    assert said["how_far"]["closed"] > 0.9
-    if first["effect"] == "coulomb_friction":
-        assert first["parameters"]["Fc"] == pytest.approx(0.6, abs=0.05)
-
-
 @pytest.fixture(scope="module")
 def commanded():
     return planted(true_servos(3), motions=2, seconds=8.0)

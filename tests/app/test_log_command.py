@@ -199,27 +199,3 @@ def test_a_bag_with_several_topics(command, folder, tmp_path):
     assert record["signals"][0]["range"][2] == pytest.approx(
         [float(log.q[:, 2].min()), float(log.q[:, 2].max())]
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mapping", "bag"])
-def test_other_formats_give_the_same_answer(command, folder, foreign, tmp_path, kind):
-    """What is identified is the same but for the rounding of units and time stamps."""
-    path, columns = foreign
-    options = ["--columns", columns]
-    if kind == "bag":
-        log = read_log(folder / "check.csv")
-        names = ["joint_1", "joint_2", "joint_3"]
-        path = write_bag(
-            tmp_path / "bag", "ros1", {"/joint_states": messages_of(log, names, (1, 2, 0))}
-        )
-        options = []
-    results = []
-    for log_path, given in ((folder / "check.csv", []), (path, options)):
-        target = tmp_path / "result.json"
-        result = command(
-            "identify", "3r_friction", log_path, *given, "--cutoff", "8", "--json", target
-        )
-        assert result.code == 0, result.err
-        results.append([p["value"] for p in json.loads(target.read_text())["parameters"]])
-    assert results[1] == pytest.approx(results[0], rel=1e-6, abs=1e-8)

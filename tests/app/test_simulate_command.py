@@ -54,24 +54,6 @@ def test_effects_change_the_motion(command, trajectory, tmp_path) -> None:
     assert said["effects"][0]["Fc"] == 0.6
 
 
-@pytest.mark.slow
-def test_closed_loop_without_effects_follows(command, trajectory, tmp_path) -> None:
-    done, target, _ = _simulate(
-        command, trajectory, tmp_path, "--closed-loop", "--rate", 200, "--noise", "none"
-    )
-    assert done.code == 0, done.err
-    log, wanted = read_log(target), read_log(trajectory)
-    assert log.samples == 2 * (wanted.samples - 1) + 1
-    assert float((log.q[::2] - wanted.q).abs().max()) < 1e-4
-
-
-@pytest.mark.slow
-def test_honest_noise_hides_the_accelerations(command, trajectory, tmp_path) -> None:
-    done, target, _ = _simulate(command, trajectory, tmp_path, "--closed-loop")
-    assert done.code == 0, done.err
-    assert set(read_log(target).signals) == {"q", "tau"}
-
-
 def test_several_trajectories_are_several_logs(command, trajectory, tmp_path) -> None:
     """Side by side, each as it is alone; the noise of each is its own."""
     given = ("simulate", "3r", trajectory, trajectory)

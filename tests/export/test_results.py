@@ -10,7 +10,6 @@ import torch
 from tests.arms import arm, consistent_parameters, relative
 from tests.export.arms import FRICTION, exported, with_other
 from tests.fleet.records import identification as identified
-from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import (
@@ -203,24 +202,6 @@ def test_pseudo_inertia_is_not_mistaken_for_the_inertia_about_the_origin(tmp_pat
     assert raised.value.got.startswith("inertia_2")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("not json", "not JSON"),
-        ("[1]", "a JSON object"),
-        ('{"schema": "torchid.gap/2"}', "carries no dynamics"),
-        ('{"schema": "torchid.feasibility/1"}', "carries no dynamics"),
-    ],
-)
-def test_other_files_are_refused(tmp_path, text, words):
-    path = tmp_path / "x.json"
-    path.write_text(text)
-    with pytest.raises(TorchidError, match=words):
-        load(path)
-    with pytest.raises(TorchidError, match="cannot be read"):
-        load(tmp_path / "none.json")
-
-
 def test_the_robot_is_the_one_recorded(tmp_path):
     path = tmp_path / "r.json"
     assert named_robot(path, {"robot": "x", "robot_source": "3r"}, None).name == "3r"
@@ -278,14 +259,6 @@ def test_packages_that_are_not_installed_are_told(tmp_path, monkeypatch):
     own, *others = exported(with_other(arm("3r")), "urdf", tmp_path).comparisons
     assert own.ok
     assert [(c.difference, c.note) for c in others[:1]] == [(None, "not installed")]
-
-
-def test_states_are_within_limits():
-    robot = arm("panda")
-    motion: Motion = random_states(robot, 0)
-    for name, x in zip(("position", "velocity"), motion.state, strict=False):
-        low, high = getattr(robot.limits, name).unbind(-1)
-        assert bool(((x >= low) & (x <= high)).all())
 
 
 def test_what_is_not_reproduced_is_not_kept(tmp_path, monkeypatch):

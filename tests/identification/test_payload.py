@@ -489,16 +489,16 @@ def test_joints_that_hold_a_point_at_rest_tell_its_mass_to_their_dry_friction():
     robot, wrist = load_robot("kuka_lwr4"), [5, 6]
     place = torch.tensor([[0.05, 0.0, 0.02]], dtype=torch.float64)
     point = InertialParameters.from_com(place.new_tensor([MASS]), place, place.new_zeros(1, 6))
-    loaded = weak_log(with_payload(robot, point.pi[0]), wrist, 1)
+    loaded = weak_log(with_payload(robot, point.pi[0]), wrist, 1, rate=50.0)
     asked = {"model": "point_mass", "settings": Settings(cutoff=8.0)}
-    found = payload(robot, weak_log(robot, list(range(7)), 0), loaded, **asked)
+    found = payload(robot, weak_log(robot, list(range(7)), 0, rate=50.0), loaded, **asked)
     mass = found.tool.mass
     assert float(mass.low) < MASS < float(mass.high)
     # Four joints whose half newton metres at the arm's length agree are the least error.
     assert 0.5 * 0.5 / (9.81 * reach(robot)) < float(mass.std) < 0.1 * MASS
     assert any(w.startswith("joints 1, 2, 3, 4, 5 stand") for w in found.warnings)
     # Without the dry friction nothing says how much of the torque is the load's.
-    alone = payload(robot, weak_log(robot, wrist, 0), loaded, **asked)
+    alone = payload(robot, weak_log(robot, wrist, 0, rate=50.0), loaded, **asked)
     assert bool(alone.tool.mass.value.isnan())
 
 

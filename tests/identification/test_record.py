@@ -129,13 +129,6 @@ def test_what_was_not_estimated_has_no_standard_deviation():
     assert data["fit"]["relative_error_percent_moving"][1] is None
 
 
-def test_no_effects_no_entries_and_no_held_out():
-    data = strict(result(kind="rigid").plain())
-    assert data["effects"] == []
-    assert data["held_out"] is None
-    assert data["absorbed"] == []
-
-
 def test_the_choice_of_the_cutoff_is_told():
     data = strict(result(kind="auto").plain())
     choice = data["cutoff_choice"]
@@ -159,12 +152,3 @@ def test_grouping_and_covariance_can_be_used():
     entry = data["parameters"][0]
     half = statistics["quantile95"] * entry["std"]
     assert entry["ci95"] == pytest.approx([entry["value"] - half, entry["value"] + half])
-
-
-def test_settings_and_warnings_are_kept():
-    found = result(kind="joint 2 never moves")
-    data = strict(found.plain())
-    assert data["settings"]["effects"] == list(found.settings.effects)
-    assert set(data["settings"]) >= {"cutoff", "rows", "method", "signs", "held_out_fraction"}
-    assert data["warnings"] == list(found.warnings)
-    assert any("does not determine" in w for w in data["warnings"])

@@ -9,7 +9,6 @@ import pytest
 
 import torchid
 from tests.arms import arm
-from tests.fleet.records import identification
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.gap.record import GapRecord
 from torchid.report.explain import report_of_file
@@ -56,38 +55,6 @@ def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
     assert d.plot("torque", joint=1).axes
     with pytest.raises(TorchidError, match="takes no joint"):
         d.plot("where", joint=1)
-
-
-@pytest.mark.slow
-def test_the_next_motion_of_what_was_read_back(tmp_path: Path) -> None:
-    """The log is of a motion that hardly turns joint 3: whether it has friction stays open."""
-    robot = torchid.load_robot("3r")
-    motion = torchid.excite(robot, duration=12.0, restarts=1, iterations=0, usage=0.2).log()
-    still = motion.replace(q=motion.q * 1.0, dq=motion.dq * 1.0, ddq=motion.ddq * 1.0)
-    for signal in (still.q, still.dq, still.ddq):
-        signal[:, 2] = 0.0
-    log = torchid.simulate(robot, still, seed=1)
-    settings = torchid.GapSettings(effects=("viscous_friction",))
-    torchid.diagnose(robot, log, settings=settings).save(tmp_path / "gap.json")
-    made = torchid.load(tmp_path / "gap.json").next_motion(duration=8.0, restarts=1)
-    assert made.kind == "not_testable"
-    assert {r.truth.effect.joint for r in made.rivals} == {2}
-    assert all(told.reached >= 1 for told in made.after)
-    assert made.log().samples > 100
-
-
-@pytest.mark.slow
-def test_the_next_motion_of_an_identification(tmp_path: Path) -> None:
-    robot = arm("3r_friction")
-    path = identification(tmp_path / "a.json", 0, robot=robot)
-    data = json.loads(path.read_text())
-    data["rows"] = {"seconds": 10.0, "per_second": 20.0, "whitening": [[10.0, 0, 0], [0, 10, 0],
-                                                                      [0, 0, 10]]}  # fmt: skip
-    path.write_text(json.dumps(data))
-    found = torchid.load(path)
-    design = found.next_motion(duration=6.0, restarts=1)
-    assert design.shrinks(design.after) <= design.shrinks(design.with_plain)
-    assert found.plot().axes
 
 
 @pytest.mark.parametrize(
