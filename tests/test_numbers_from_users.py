@@ -33,13 +33,22 @@ FORMS = {
 }
 
 
+SIGNALS = {
+    "inverse_dynamics": 3, "joint_wrenches": 3, "forward_dynamics": 3, "regressor": 3,
+    "mass_matrix": 1, "tool_pose": 1,
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("function", ["inverse_dynamics", "regressor"])
+@pytest.mark.parametrize("function", SIGNALS)
 def test_dynamics_of_any_form_are_those_of_tensors(function, form) -> None:
-    call, given = getattr(torchid, function), FORMS[form](Q)
-    found = call(ROBOT, given, given, given)
+    call, count = getattr(torchid, function), SIGNALS[function]
+    found = call(ROBOT, *[FORMS[form](Q)] * count)
     assert found.dtype is torch.float64
-    torch.testing.assert_close(found, call(ROBOT, *[tensor(Q)] * 3), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(found, call(ROBOT, *[tensor(Q)] * count), rtol=1e-12, atol=1e-12)
+    assert call(ROBOT, *[np.array(Q, np.float32)] * count).dtype is torch.float64
+    with pytest.raises(TorchidError, match="one column a joint"):
+        call(ROBOT, *[FORMS[form](Q)[0][:2]] * count)
 
 
 @pytest.mark.parametrize("function", ["inverse_dynamics", "regressor"])

@@ -93,21 +93,6 @@ def test_very_many_sets_are_cut_off_and_all_in_the_record(tmp_path):
     assert len(json.loads((tmp_path / "f.json").read_text())["sets"]) == 60
 
 
-def test_mjcf(tmp_path):
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        '<mujoco><worldbody><body name="a"><joint axis="0 0 1"/><geom type="box" '
-        'size="0.1 0.2 0.3" pos="0 0 0.2" density="1000"/></body></worldbody></mujoco>'
-    )
-    got = call(path, "--json", tmp_path / "f.json")
-    assert got.exit_code == 0, got.output
-    data = json.loads((tmp_path / "f.json").read_text())
-    assert data["conditions"]["geometry"] == "shapes (collision)"
-    assert data["sets"][0]["margins"]["com_1x"] == pytest.approx(0.1)
-    assert data["sets"][0]["links"][0]["mass"] == pytest.approx(48)
-    assert data["sets"][0]["plausibility"] == []
-
-
 def test_the_nearest_feasible_sets(tmp_path):
     pytest.importorskip("clarabel")
     near = tmp_path / "near.json"

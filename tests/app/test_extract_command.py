@@ -39,19 +39,6 @@ def test_nominal_parameters_are_recovered_as_feasible_sets(command, tmp_path):
     assert (tmp_path / "search.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
-def test_the_kuka_has_a_least_loss_and_it_says_what_forces_it(command, tmp_path):
-    target = tmp_path / "x.json"
-    shown = command("extract", "kuka_lwr4", *SMALL, "--json", target)
-    data = json.loads(target.read_text())
-    assert data["certificate"]["phi_min"] == pytest.approx(1.0312e-4, rel=0.01)
-    assert "inertia_7" in data["certificate"]["forcing"]
-    assert "phi_min" in shown.out
-    least = min(s["phi"] for s in data["sets"] if s["feasible"])
-    assert data["certificate"]["phi_min"] * (1 - 1e-6) <= least
-    assert least <= 1.02 * data["certificate"]["phi_min"]
-
-
 NONE_MEETS = ("--total-mass", "100,200", "--search-anyway", "--runs", "2", "--stages", "1")
 
 
@@ -145,19 +132,6 @@ def test_an_atlas_says_what_the_fit_held(command, tmp_path, identified):
     path.write_text(json.dumps(data))
     assert command("atlas", "3r_friction", path, "--json", target).code == 0
     assert any("exact" in w and "Fc1" in w for w in json.loads(target.read_text())["warnings"])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("loss", ["two-step", "one-step"])
-def test_from_an_identification(command, tmp_path, identified, loss):
-    target = tmp_path / "x.json"
-    shown = command("extract", "3r_friction", identified, "--loss", loss, *SMALL, "--json", target)
-    assert shown.code == 0, shown.err
-    data = json.loads(target.read_text())
-    assert data["loss"] == loss
-    best = next(s for s in data["sets"] if s["id"] == data["best"])
-    assert best["feasible"]
-    assert best["phi"] <= 1.05 * data["certificate"]["phi_strict"] + 1e-12
 
 
 @pytest.mark.parametrize("loss", some(["two-step", "one-step"], slow=1))

@@ -153,14 +153,6 @@ def test_acts_on_its_own_joint_only(kind: type[JointEffect]) -> None:
     assert not effect.torque_columns(state)[:, other].any()
 
 
-@joint_kind
-def test_dtype_and_device_follow_the_motion(kind: type[JointEffect], device: torch.device) -> None:
-    state = Motion(*(None if x is None else x.to(device, torch.float32) for x in trajectory()))
-    torque = on_joint(kind).torque(state, [1.0] * len(kind.coefficients))
-    assert torque.dtype is torch.float32
-    assert torque.device.type == device.type
-
-
 @shaped_kind
 def test_a_grid_of_shapes_in_one_batch_is_one_by_one(kind: type[JointEffect]) -> None:
     full = shape_grid(kind, trajectory())

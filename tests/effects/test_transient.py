@@ -29,16 +29,6 @@ def test_hard_clip_is_a_clamp() -> None:
     torch.testing.assert_close(motion.torque + column, expected)
 
 
-def test_clips_both_signs_and_many_limits_at_once() -> None:
-    motion = smooth_motion(arm("panda"), 300)
-    limits = torch.tensor([0.5, 2.0, 1e9], dtype=torch.float64).reshape(3, 1, 1)
-    columns = Saturation.formula(motion, limits)
-    assert columns.shape == (3, 300, 7, 1)
-    assert motion.torque is not None
-    for limit, column in zip((0.5, 2.0, 1e9), columns[..., 0], strict=True):
-        torch.testing.assert_close(motion.torque + column, motion.torque.clamp(-limit, limit))
-
-
 @pytest.mark.parametrize("name", ["panda", "ur10e", "3r"])
 def test_contact_of_a_link_is_felt_before_it_and_not_behind(name: str) -> None:
     """Half way along a link: J' from central differences of the mean of its two joints' origins."""
@@ -146,14 +136,6 @@ def test_held_samples_follow_from_their_age() -> None:
     assert log.torque is not None
     assert columns.abs().max() > 0
     torch.testing.assert_close(motion.torque + 0.6 * columns[..., 0], log.torque)
-
-
-def test_windows_come_from_the_seed() -> None:
-    motion = smooth_motion(arm("3r"), 1500, rate=500.0)
-    ages = [DroppedSamples(1, seed=s).measured(motion, [1.0]).age for s in (0, 0, 1)]
-    assert ages[0] is not None
-    assert torch.equal(ages[0], ages[1])
-    assert not torch.equal(ages[0], ages[2])
 
 
 def test_places() -> None:
