@@ -160,6 +160,19 @@ def inertial(ixx, iyy, izz, mass=1.0, extra=""):
 GOOD, BAD = inertial(0.02, 0.02, 0.02), inertial(0.001, 0.001, 0.003)
 
 
+def test_a_bad_inertial_hidden_by_a_fixed_joint_is_named(tmp_path):
+    path = tmp_path / "r.urdf"
+    path.write_text(URDF.format(base=BAD, arm=GOOD, hand=BAD, kind="fixed"))
+    got = call(path, "--json", tmp_path / "f.json")
+    assert got.exit_code == 0
+    (entry,) = json.loads((tmp_path / "f.json").read_text())["sets"]
+    # The sum of both is a body.
+    assert entry["feasible"]
+    own = [f for f in entry["plausibility"] if f["what"] == "own_triangle"]
+    assert [(f["name"], f["link"]) for f in own] == [("base", None), ("hand", 1)]
+    assert "the <inertial> of 'hand' (merged into link 1) breaks the triangle" in said(got)
+
+
 def test_the_yamls_total_mass_is_checked_unless_refused(tmp_path):
     import yaml
 
