@@ -40,12 +40,6 @@ def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path
     said = json.loads((tmp_path / "gap.json").read_text())
     assert said["knowledge"]["sources"] == ["2 units in 4 sessions"]
     assert said["which"] == []  # nothing is odd about this unit
-    bad = command("fleet", "identify", "3r_friction", folder, "--save-model", tmp_path / "x.txt")
-    assert bad.code == 1
-    assert "--save-model" in bad.err
-    bad = command("fleet", "identify", "3r_friction", folder, "--unit", "arm-000")
-    assert bad.code == 1
-    assert "--save-model" in bad.err
 
 
 def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:

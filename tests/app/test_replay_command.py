@@ -9,7 +9,6 @@ from tests.position.planted import planted, robot, true_servos
 from torchid.log.readers import read_log, write_log
 from torchid.position.model import ServoArm
 from torchid.results.files import load
-from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
 
@@ -24,14 +23,6 @@ def folder(tmp_path_factory):
         write_log(part, folder / f"run{k}.csv")
     write_robot(robot(), folder / "plain.yaml")
     return folder
-
-
-@pytest.mark.slow
-def test_a_model_is_a_robot_too(folder):
-    again = ServoArm.read(folder / "model.yaml")
-    assert torch.equal(again.servos.joint, true_servos(3).joint)
-    assert again.scale.tolist() == [1.0, 1.0, 1.0]
-    assert load_robot(folder / "model.yaml").n == again.robot.n == 3
 
 
 @pytest.mark.parametrize("windows", [None, 2])

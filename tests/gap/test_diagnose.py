@@ -19,9 +19,8 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import STAGES, diagnose_torque
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
-from torchid.parallel.pace import Pace
 from torchid.report.brief import model_words
 from torchid.results.answer import Answer
 from torchid.results.cause import JudgedOn
@@ -334,22 +333,6 @@ def test_an_effect_that_is_not_in_the_library_is_not_another_for_sure():
         assert families <= {"sign", "hysteresis", "speed", "time"}
         assert {j for f in found.which for j in f.joints} <= {1}
         assert found.status == "detected_unexplained" or friction, name
-
-
-@pytest.mark.slow
-def test_progress_is_told_to_the_end():
-    told: list[tuple[str, int, int]] = []
-    diagnose_torque(
-        ROBOT,
-        logged(ROBOT, (0,)),
-        settings=replace(QUICK, effects=("coulomb_friction",)),
-        pace=Pace(lambda stage, done, total: told.append((stage, done, total)), STAGES),
-    )
-    assert told[-1] == ("done", 100, 100)
-    percents = [done for _, done, _ in told]
-    assert percents == sorted(percents)
-    assert all(total == 100 for *_, total in told)
-    assert len({stage for stage, _, _ in told}) > 3
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from torchid.effects.friction import ViscousFriction
 from torchid.effects.registry import effect_from_record
 from torchid.gap.cause_records import body_cause, effect_cause, valued
 from torchid.gap.record import RegimeGap
-from torchid.json_data import plain
 
 
 def test_settings_of_a_file_are_not_judged_again(tmp_path):
@@ -79,19 +78,6 @@ def test_units_of_prismatic_joints():
     slide = effect_cause((ViscousFriction(1), [0.2]), [0.1], given, given, 0)
     entry = diagnosis(robot=robot, causes=(slide,)).plain()["which"][0]
     assert entry["unit"] == {"Fv": "N s/m"}
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"),
-    [
-        (torch.tensor([1.0, math.nan]), [1.0, None]),
-        ({"a": (1, True, None, "x")}, {"a": [1, True, None, "x"]}),
-        (torch.tensor(2.0), 2.0),
-        (math.inf, None),
-    ],
-)
-def test_plain(value, expected):
-    assert plain(value) == expected
 
 
 @pytest.mark.parametrize("source", ["repeats", "bracket"])

@@ -166,16 +166,3 @@ def test_results_in_memory_can_what_their_files_can(name: str, tmp_path: Path) -
     with pytest.raises(TorchidError, match="no such figure") as caught:
         result.plot("nothing")
     assert caught.value.available == list(made.kinds)
-
-
-def test_sets_that_were_read_back_are_sets(tmp_path: Path) -> None:
-    robot = arm("3r_friction")
-    sets = torchid.check(robot).sets
-    sets.save(tmp_path / "sets.json")
-    again = torchid.load(tmp_path / "sets.json")
-    assert len(again) == 1
-    assert again.vector.equal(sets.vector)
-    assert again.search_vector.equal(sets.search_vector)
-    assert again.coefficient_names() == sets.coefficient_names()
-    assert again.part([0]).ids == sets.ids
-    assert again.to_robot(robot, 0).parameters.pi.equal(sets.to_robot(robot, 0).parameters.pi)

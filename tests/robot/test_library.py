@@ -1,5 +1,4 @@
 import pickle
-from pathlib import Path
 
 import pytest
 import torch
@@ -79,13 +78,6 @@ def test_an_own_yaml_is_read(tmp_path):
 def test_a_tip_on_a_built_in_robot_is_refused():
     with pytest.raises(RobotError, match="`tip="):
         load_robot("3r", tip="link_1")
-
-
-def test_a_urdf_is_read(arm_urdf: Path):
-    assert load_robot(str(arm_urdf)).name == "arm"
-    assert load_robot(arm_urdf, tip="elbow").n == 2
-    with pytest.raises(RobotError, match="available: world, base"):
-        load_robot(arm_urdf, tip="nose")
 
 
 @pytest.mark.parametrize("name", ["kuka_lwr4_friction", "ur10e"])
