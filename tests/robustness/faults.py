@@ -33,8 +33,6 @@ TEMPORARY = ".torchid-"
 """Begin of the names of files that are not yet what they will be; nothing reads them."""
 NOT_COMPARED = ("duration", "seconds", "time", "saved", "elapsed", "started")
 """Entries of results that are times of the run."""
-COMPARED = (".json", ".yaml")
-"""Results whose bits are compared; pages and figures hold dates."""
 
 
 @dataclass(frozen=True)
