@@ -36,6 +36,15 @@ def test_half_of_the_samples_have_half_of_the_price() -> None:
     assert odds[1] == pytest.approx(odds[0] / 2, rel=1e-6)
 
 
+@pytest.mark.parametrize(("share", "most"), [(0.0, 1.0), (1 / 16, 0.9), (0.25, 0.6923)])
+def test_what_is_left_bounds_how_sure_a_cause_is(share: float, most: float) -> None:
+    of = search("viscous_friction")
+    fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
+    (one,) = judge(of, fit, np.full(4, share), problem("viscous_friction").draws)
+    assert one.sure <= most + 1e-4
+    assert one.sure > most - 0.05
+
+
 def test_what_another_joint_leaves_bounds_a_cause_of_one_joint_as_the_arm_s_alone() -> None:
     of = search("viscous_friction")
     fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
