@@ -9,6 +9,7 @@ import pytest
 
 import torchid
 from tests.arms import arm
+from tests.fleet.records import identification
 from torchid.errors import MissingExtraError, TorchidError
 from torchid.gap.record import GapRecord
 from torchid.report.explain import report_of_file
@@ -55,6 +56,20 @@ def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
     assert d.plot("torque", joint=1).axes
     with pytest.raises(TorchidError, match="takes no joint"):
         d.plot("where", joint=1)
+
+
+@pytest.mark.slow
+def test_the_next_motion_of_an_identification(tmp_path: Path) -> None:
+    robot = arm("3r_friction")
+    path = identification(tmp_path / "a.json", 0, robot=robot)
+    data = json.loads(path.read_text())
+    data["rows"] = {"seconds": 10.0, "per_second": 20.0, "whitening": [[10.0, 0, 0], [0, 10, 0],
+                                                                      [0, 0, 10]]}  # fmt: skip
+    path.write_text(json.dumps(data))
+    found = torchid.load(path)
+    design = found.next_motion(duration=6.0, restarts=1)
+    assert design.shrinks(design.after) <= design.shrinks(design.with_plain)
+    assert found.plot().axes
 
 
 @pytest.mark.parametrize(
