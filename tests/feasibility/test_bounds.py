@@ -76,14 +76,6 @@ def test_coefficients_are_bounded_joint_by_joint() -> None:
     assert "friction_coulomb" in str(caught.value)
 
 
-def test_friction_without_bounds_is_refused() -> None:
-    bounds = read_bounds(load_robot("3r"), "normal")
-    assert bounds.coefficients == {}
-    with pytest.raises(RobotError, match="Fv of viscous_friction") as caught:
-        bounds.box([ViscousFriction(0)])
-    assert "friction_viscous" in str(caught.value)
-
-
 @pytest.mark.parametrize("group", ["loos", "geometry", "total_mass", ""])
 def test_unknown_group_is_refused(group: str) -> None:
     with pytest.raises(RobotError, match="no bounds") as caught:

@@ -52,12 +52,6 @@ def test_an_unknown_name_lists_the_built_in_ones():
     assert raised.value.available == built_in_robots()
 
 
-@pytest.mark.parametrize("suffix", ["yaml", "yml", "urdf", "URDF", "xml"])
-def test_a_missing_file_is_told(tmp_path, suffix):
-    with pytest.raises(RobotError, match="does not exist"):
-        load_robot(tmp_path / f"none.{suffix}")
-
-
 def test_a_folder_is_not_a_robot(tmp_path):
     folder = tmp_path / "r.urdf"
     folder.mkdir()
