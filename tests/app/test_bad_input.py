@@ -183,6 +183,8 @@ gap 3r goood.csv | 'goood.csv' does not exist | ./good.csv
 gap good.csv 3r | comes first | torchid gap 3r good.csv
 gap 3r degrees.csv | degrees | --columns "q=q{j} deg | --force
 gap 3r ms.csv | milliseconds | --columns "t=t ms"
+gap 3r short.csv | too short
+gap kuka_lwr4 good.csv | got: 3 | expected: 7
 gap 3r good.csv --effects coulom_friction | nearest: coulomb_friction
 gap 3r good.csv --effects none | --effects | all
 gap 3r good.csv --background backlas | backlas | available

@@ -58,6 +58,15 @@ def test_rates_that_differ_by_less_and_more_than_one_percent_become_one():
     assert len(data.segments) == 3
 
 
+def test_too_short_is_refused():
+    with pytest.raises(LogError, match="too short") as found:
+        prepare(ROBOT, log(duration=8.0).select(slice(0, 200)), None)
+    assert "0.8" in str(found.value)
+    # The way out that is named is one.
+    cutoff = float(str(found.value.hint).split("cutoff=")[1].split("`")[0])
+    assert len(prepare(ROBOT, log(duration=8.0).select(slice(0, 200)), cutoff).segments) == 1
+
+
 def test_short_ones_among_long_ones_are_left_out_and_said():
     keep = torch.ones(log().samples, dtype=torch.bool)
     keep[log().slices()[1]] = False
