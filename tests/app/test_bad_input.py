@@ -229,6 +229,7 @@ identify 3r positions.csv | no torque | tau1..
 identify 3r hole.csv | q2 | row 41
 identify 3r good.csv two.csv | different numbers | 'two.csv' | 'good.csv'
 identify 3r good.csv good.csv | given twice
+identify 3r good.csv --held-out two.csv | joints
 identify 3r good.csv --held-out good.csv | held out | --held-out-fraction
 identify 3r logs | is a folder | a log
 identify 3r empty.csv | is empty | t, q1..

@@ -21,14 +21,3 @@ def test_compare_writes_and_says_the_verdict_first(command, results, tmp_path):
     assert data == json.loads((tmp_path / "out" / "compare.json").read_text())
     assert data["schema"] == "torchid.compare/2"
     assert (tmp_path / "out" / "parameters.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_compare_on_a_log(command, results, folder, tmp_path):
-    done = command(
-        "compare", *results[:2], "--on", folder / "check.csv", "--json", tmp_path / "c.json"
-    )
-    assert done.code == 0, done.err
-    assert "the closest" in " ".join(done.out.split())
-    errors = json.loads((tmp_path / "c.json").read_text())["torque"]["errors"]
-    assert len(errors) == 2
-    assert len(errors[0]) == 3

@@ -73,12 +73,3 @@ def test_no_payload_is_said(logs, tmp_path):
     data = json.loads((tmp_path / "p.json").read_text())
     assert not data["seen"]
     assert data["frames"]["tool"]["com"]["value"] == [None] * 3
-
-
-@pytest.mark.slow
-def test_quiet_prints_nothing(logs):
-    got = call(
-        "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", "--cutoff", 5,
-        "--quiet", "--model", "point_mass", "--effects", "viscous_friction,coulomb_friction",
-    )  # fmt: skip
-    assert (got.exit_code, got.output) == (0, "")

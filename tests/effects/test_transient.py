@@ -145,3 +145,11 @@ def test_places() -> None:
     # A force on a link shows where three joints or more move it; the last has the tool's.
     assert [c.tip for c in Contact.links(robot)] == list(robot.link_names[2:-1])
     assert Contact().joints == ()
+
+
+def test_windows_come_from_the_seed() -> None:
+    motion = smooth_motion(arm("3r"), 1500, rate=500.0)
+    ages = [DroppedSamples(1, seed=s).measured(motion, [1.0]).age for s in (0, 0, 1)]
+    assert ages[0] is not None
+    assert torch.equal(ages[0], ages[1])
+    assert not torch.equal(ages[0], ages[2])

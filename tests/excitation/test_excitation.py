@@ -15,7 +15,7 @@ from torchid.excitation.design import (
     row_weights,
 )
 from torchid.excitation.fourier import FourierTrajectory, sample_times
-from torchid.excitation.limits import motion_limits
+from torchid.excitation.limits import largest_scale, motion_limits
 from torchid.excitation.trajectories import (
     paper_trajectories_3r,
     random_trajectory,
@@ -213,6 +213,15 @@ def test_only_the_wanted_share_of_the_limits_is_used():
         random_trajectory(robot, 0, fill=True, usage=0.8).extremes(), motion_limits(robot)
     )
     assert 0.79 < float(usage.max()) <= 0.8
+
+
+def test_a_joint_that_does_not_move_has_no_scale():
+    robot = load_robot("3r")
+    still = FourierTrajectory(
+        *(torch.zeros((3, 5), dtype=torch.float64) for _ in "ab"),
+        torch.zeros(3, dtype=torch.float64),
+    )
+    assert (largest_scale(still, motion_limits(robot)) > 1e11).all()
 
 
 def test_a_prismatic_joint():

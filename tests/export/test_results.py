@@ -10,6 +10,7 @@ import torch
 from tests.arms import arm, consistent_parameters, relative
 from tests.export.arms import FRICTION, exported, with_other
 from tests.fleet.records import identification as identified
+from torchid.effects.base import Motion
 from torchid.effects.registry import nominal_others, on_every_joint
 from torchid.errors import TorchidError
 from torchid.export.dynamics import (
@@ -259,6 +260,14 @@ def test_packages_that_are_not_installed_are_told(tmp_path, monkeypatch):
     own, *others = exported(with_other(arm("3r")), "urdf", tmp_path).comparisons
     assert own.ok
     assert [(c.difference, c.note) for c in others[:1]] == [(None, "not installed")]
+
+
+def test_states_are_within_limits():
+    robot = arm("panda")
+    motion: Motion = random_states(robot, 0)
+    for name, x in zip(("position", "velocity"), motion.state, strict=False):
+        low, high = getattr(robot.limits, name).unbind(-1)
+        assert bool(((x >= low) & (x <= high)).all())
 
 
 def test_what_is_not_reproduced_is_not_kept(tmp_path, monkeypatch):

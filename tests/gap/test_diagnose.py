@@ -14,6 +14,7 @@ import torch
 from tests.gap.motions import ROBOT
 from tests.marks import quick_first
 from torchid.effects.registry import FAMILIES, KINDS, nominal_effects
+from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
@@ -333,6 +334,14 @@ def test_an_effect_that_is_not_in_the_library_is_not_another_for_sure():
         assert families <= {"sign", "hysteresis", "speed", "time"}
         assert {j for f in found.which for j in f.joints} <= {1}
         assert found.status == "detected_unexplained" or friction, name
+
+
+def test_a_log_held_out_twice_is_refused():
+    with pytest.raises(LogError, match="held-out"):
+        diagnose_torque(
+            ROBOT, logged(ROBOT), held_out=logged(ROBOT, (5,)),
+            settings=GapSettings(held_out_fraction=0.2),
+        )  # fmt: skip
 
 
 @pytest.mark.slow

@@ -152,3 +152,12 @@ def test_grouping_and_covariance_can_be_used():
     entry = data["parameters"][0]
     half = statistics["quantile95"] * entry["std"]
     assert entry["ci95"] == pytest.approx([entry["value"] - half, entry["value"] + half])
+
+
+def test_settings_and_warnings_are_kept():
+    found = result(kind="joint 2 never moves")
+    data = strict(found.plain())
+    assert data["settings"]["effects"] == list(found.settings.effects)
+    assert set(data["settings"]) >= {"cutoff", "rows", "method", "signs", "held_out_fraction"}
+    assert data["warnings"] == list(found.warnings)
+    assert any("does not determine" in w for w in data["warnings"])

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 from hypothesis import given
@@ -33,6 +35,11 @@ def test_defaults() -> None:
     assert list(log.signals) == ["q"]
 
 
+def test_frozen(three: Log) -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        three.t = three.q  # type: ignore[misc]
+
+
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
@@ -50,6 +57,9 @@ def test_defaults() -> None:
         ({"trajectory": torch.tensor([0, 2, 2])}, "consecutive runs"),
         ({"trajectory": torch.tensor([0, 1, 0])}, "consecutive runs"),
         ({"names": ("a", "b")}, "one name a trajectory"),
+        ({"q": "positions"}, "q must be a table of numbers"),
+        ({"q": [[1.0, 2.0], [3.0]]}, "q must be a table of numbers"),
+        ({"trajectory": [0.5, 1.0, 1.0]}, "trajectories are numbered"),
     ],
 )
 @pytest.mark.usefixtures("types_unchecked")

@@ -158,14 +158,10 @@ def test_numbers_that_yaml_takes_for_text_get_a_hint():
     ("content", "message"),
     [
         (b"name: [1", "not valid yaml"),
-        (b"\x00\x01\x02", "not valid yaml"),
         (b"\xff\xfe\x00\xd8", "not valid yaml"),
-        (b"\x89PNG\r\n\x1a\n", "not valid yaml"),
-        (b"name: 2020-13-45", "not valid yaml"),
         (b"!!python/object:os.system {}", "not valid yaml"),
         (b"", "not a robot description"),
         (b"just text", "not a robot description"),
-        (b"- 1\n- 2", "not a robot description"),
         (b"name: r", "'dh' is missing"),
     ],
 )

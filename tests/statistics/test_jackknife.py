@@ -13,7 +13,6 @@ from torchid.statistics import jackknife as module
 from torchid.statistics.jackknife import (
     Jackknife,
     fit_statistics,
-    from_left_out,
     jackknife,
 )
 
@@ -130,15 +129,6 @@ def test_one_block_and_no_column_are_no_error():
     assert bool((alone.std > 0).all())
     assert bool(alone.quantile().isfinite().all())
     assert fit_statistics(columns[:, :0], y, BLOCK).std.shape == (0,)
-
-
-def test_left_out_estimates_of_a_mean():
-    """The delete-one jackknife of a mean of K numbers is their standard error."""
-    y = torch.randn(15, generator=torch.Generator().manual_seed(0))
-    found = from_left_out(((y.sum() - y) / 14).unsqueeze(1))
-    assert float(found.std[0]) == pytest.approx(float(y.std() / 15**0.5))
-    low, high = found.interval(y.mean().unsqueeze(0), 0.9)[0].tolist()
-    assert high - low == pytest.approx(2 * student.ppf(0.95, 14) * float(found.std[0]))
 
 
 def test_more_columns_than_a_block_has_rows():

@@ -169,3 +169,10 @@ def test_regimes_are_parts_of_the_time():
         assert float(speed[slow[:, j], j].max()) < float(speed[fast[:, j], j].min())
         assert 0 < float(turned[:, j].double().mean()) <= 0.26
     assert not any(bool(x[~made.valid].any()) for x in masks.values())
+
+
+@pytest.mark.parametrize("rate", [50.0, 1000.0])
+def test_other_rates(rate):
+    made = trace(on_joint(PLANTED["viscous"][0]), seed=1, rate=rate)
+    _, regimes = where([made], floor(), 0, band=20.0)
+    assert clear(regimes) == {(JOINT, "fast")}
