@@ -52,13 +52,6 @@ def test_an_unknown_name_lists_the_built_in_ones():
     assert raised.value.available == built_in_robots()
 
 
-def test_a_folder_is_not_a_robot(tmp_path):
-    folder = tmp_path / "r.urdf"
-    folder.mkdir()
-    with pytest.raises(RobotError, match="is no regular file"):
-        load_robot(folder)
-
-
 def test_an_own_yaml_is_read(tmp_path):
     path = tmp_path / "mine.yml"
     path.write_text(

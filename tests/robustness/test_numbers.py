@@ -53,7 +53,6 @@ def test_torques_in_another_unit_scale_every_result(factor):
 @pytest.mark.parametrize(
     ("signal", "factor", "said"),
     [
-        ("q", 180 / math.pi, "degrees"),
         ("dq", 180 / math.pi, "degrees per second"),
         ("dq", 1e3, "dq1 is 1000 times the derivative of q1"),
         ("q", 65536 / math.pi, "neither radians nor degrees"),
