@@ -205,6 +205,7 @@ gap --real=arm.csv | ` is gone. | torchid pair
 gap 3r run.csv --to urdf --out out | ` is gone. | torchid correct
 gap 3r run.csv --for urdf --out out | ` is gone. | torchid correct
 gap 3r run.csv --calibrate 3 | ` is gone. | torchid calibrate
+study 3r --no-figures | ` is gone. | --report
 gap 3r run_degrees.csv | commands look like degrees | u=u{j} deg
 gap 3r run.csv --servo SG90 | there is no such servo | STS3215
 gap 3r run_zeros.csv --servo SG90 | no such servo

@@ -5,6 +5,7 @@ import math
 from typing import Annotated
 
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.json import encode
@@ -13,6 +14,7 @@ from rich.console import Console
 from torchid.report.table import Table, table_of
 from torchid.results.record import Col, Ends, Joint, Part, Real, as_plain
 from torchid.results.words import percent
+from torchid.typing import Float, Tensor
 
 
 class Gain(Part, frozen=True, kw_only=True):
@@ -59,6 +61,27 @@ def test_some_columns_in_an_order_of_their_own():
     rows = [Gain(joint=0, unit="1", kp=1.0)]
     assert table_of("", rows, "seen joint").columns == ["seen", "joint"]
     assert not table_of("", [], "seen joint")
+
+
+class Errors(Part, frozen=True):
+    """Of all joints."""
+
+    force: Annotated[Float[Tensor, " n"], Col(unit="N")]
+    degree: Annotated[Float[Tensor, " K"], Col(words=lambda x: f"{float(x.min()):.1f}")]
+
+
+def test_a_tensor_is_its_numbers_or_what_its_column_says():
+    numbers = torch.tensor([0.12345, math.nan], dtype=torch.float64)
+    rows = [Errors(force=numbers, degree=numbers[:1])]
+    assert table_of("", rows).rows == [["0.123 -", "0.1"]]
+
+
+def test_markdown_and_terminal_show_a_cell_as_it_is():
+    sheet = Table("t [m]", ("a", "b"), [("||x|| *y*", "[N m]")], "p", "n [kg]")
+    assert sheet.markdown().splitlines()[4] == r"| \|\|x\|\| \*y\* | [N m] |"
+    text = "\n".join(printed(sheet, 80))
+    for part in ("t [m]", "||x|| *y*", "[N m]", "n [kg]"):
+        assert part in text
 
 
 def test_a_page_has_all_rows_and_the_terminal_the_first(table):

@@ -105,38 +105,31 @@ def log_tables(seen: Overview) -> list[Table]:
     ]
 
 
-def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> Figure:
+def trajectory_figure(robot: Robot, motion: Log, title: str) -> Figure:
     """Position, velocity and acceleration per joint, limits in red.
 
     Args:
         robot: whose limits are drawn.
         motion: one trajectory.
         title: of the figure.
-        noisy: the same instants with noise, drawn over the motion.
     """
     t = thin(motion.t - motion.t[0])
-    wide = {"linewidth": 1.1} if noisy is None else {"linewidth": 3.0, "alpha": 0.4}
     kinds = set(robot.joint_types)
     length = "m" if kinds == {JointType.PRISMATIC} else "rad"
     # Where the joints differ, no unit holds for all.
     units = [""] * 3 if len(kinds) > 1 else [f" [{length}{per}]" for per in ("", "/s", "/s²")]
     headings = [name + unit for (name, _), unit in zip(SIGNALS, units, strict=True)]
-    height = 1.0 + 1.25 * robot.n + (0.3 if noisy is not None else 0.0)
-    figure, grid = joint_rows(robot.n, headings, (11, height))
+    figure, grid = joint_rows(robot.n, headings, (11, 1.0 + 1.25 * robot.n))
     for column, (name, signal) in zip(grid.T, SIGNALS, strict=True):
         planned = getattr(motion, signal)
-        disturbed = None if noisy is None else getattr(noisy, signal)
         limits = getattr(robot.limits, name)
         for j, axes in enumerate(column):
             if planned is not None:
-                axes.plot(t, thin(planned[:, j]), color=BLUE, label="planned", **wide)
-            if disturbed is not None:
-                style = {"color": ORANGE, "linewidth": 0.8}
-                axes.plot(t, thin(disturbed[:, j]), label="with noise", **style)
+                axes.plot(t, thin(planned[:, j]), color=BLUE, linewidth=1.1)
             if limits is not None and bool(torch.isfinite(limits[j]).all()):
                 for bound in limits[j].tolist():
-                    axes.axhline(bound, color=RED, linewidth=0.9, label="limit")
-    return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
+                    axes.axhline(bound, color=RED, linewidth=0.9)
+    return finish(figure, title)
 
 
 def signals_figure(log: Log, odd: Sequence[OddChannel] = ()) -> Figure:

@@ -35,11 +35,10 @@ class Picture:
     """A figure that is drawn when it is needed.
 
     Attributes:
-        name: unique on its page, of letters, digits and underscores; that of its file without .png.
+        name: unique on its page, of letters, digits and underscores.
         caption: what is shown, and what to see in it.
         alt: what those who do not see it must know.
         draw: the figure.
-        section: of a page of several, by key.
         narrow: the same figure for a phone; None where the wide one scrolls sideways there.
         numbers: what a page's script draws in its place, to be zoomed (`OverTime.numbers`).
     """
@@ -48,20 +47,8 @@ class Picture:
     caption: str
     alt: str
     draw: Callable[[], Figure]
-    section: str = ""
     narrow: Callable[[], Figure] | None = None
     numbers: Callable[[], Mapping[str, Any]] | None = None
-
-    @property
-    def file(self) -> str:
-        """Name of its file."""
-        return f"{self.name}.png"
-
-
-def drawing(section: str, name: str, caption: str, draw: Callable[[], Figure]) -> Picture:
-    """A picture of a section, told by its name; stars in its caption would be markup."""
-    alt = f"Figure: {name.replace('_', ' ')}."
-    return Picture(name, caption.replace("*", ""), alt, draw, section)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -309,12 +296,6 @@ def note(axes: Any, text: str) -> None:
     )  # fmt: skip
 
 
-def headroom(axes: Any) -> None:
-    """Room above the curves for a note."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.25 * (high - low))
-
-
 def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
     """The `size` neighbouring values, or all of fewer, with the largest mean, and that mean."""
     size = min(size, len(squares))
@@ -327,11 +308,6 @@ def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
 def thin(signal: Tensor) -> np.ndarray:
     """At most `MOST_POINTS` evenly spaced instants (first axis) as an array."""
     return signal[:: max(1, -(-len(signal) // MOST_POINTS))].detach().cpu().numpy()
-
-
-def jitter(k: int, seed: int, width: float = 0.3) -> np.ndarray:
-    """k offsets that keep the marks of one column apart."""
-    return np.random.default_rng(seed).uniform(-width, width, k)
 
 
 def printable(text: str) -> str:
@@ -372,16 +348,4 @@ def save(figure: Figure, path: Path) -> Path:
     picture = _picture(figure, 130)
     with atomic_write(path, "wb") as file:
         picture.save(file, format="PNG", dpi=(130, 130))
-    return path
-
-
-def save_small(figure: Figure, path: Path) -> Path:
-    """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
-    from PIL import Image
-
-    few = _picture(figure, 100).quantize(
-        256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
-    )
-    with atomic_write(path, "wb") as file:
-        few.save(file, format="PNG", compress_level=9)
     return path

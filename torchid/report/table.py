@@ -276,31 +276,6 @@ class Page:
         inside = [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
         return inside if self.picture is None else [self.picture, *inside]
 
-    def markdown(self) -> str:
-        """The report in Markdown; its pictures lie beside it."""
-        from torchid.report.panels import Picture
-
-        parts = [f"# {self.title}\n", f"{self.verdict}\n"]
-        for section in self.sections:
-            if not any(section.parts):
-                continue
-            parts.append(f"## {section.title}\n")
-            for part in section.parts:
-                if not part:
-                    continue
-                if isinstance(part, Table):
-                    parts.append(part.markdown())
-                elif isinstance(part, Picture):
-                    name = part.name.replace("_", " ")
-                    parts.append(f"![{name}]({part.file})\n\n*{part.caption}*\n")
-                elif isinstance(part, Code):
-                    parts.append(f"{part.note}\n\n```\n{part.text}\n```\n")
-                else:
-                    parts.append("".join(f"- {sentence}\n" for sentence in part))
-        about = (*self.origin.seeds, *self.origin.settings, *self.origin.versions)
-        parts.append("## How it was obtained\n")
-        return "\n".join([*parts, "".join(f"- {name}: {value}\n" for name, value in about)])
-
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
@@ -368,9 +343,9 @@ def table_of(
     """Parts of a result as a table: a row each, a column for each field or property that declares
     one (`Col`).
 
-    Integers, words and yes or no stand as they are, joints from 1, lists with commas, a dash for
-    what is not there; a number with its digits, its unit, and its standard deviation or interval,
-    as its column says.
+    Integers, words and yes or no stand as they are, joints from 1, lists with commas, the numbers
+    of a tensor (n,) beside each other, a dash for what is not there; a number with its digits, its
+    unit, and its standard deviation or interval, as its column says.
 
     Args:
         title: of the table.
@@ -420,6 +395,8 @@ def _declared(kind: type) -> dict[str, tuple[str, Col, bool]]:
 def _cell(entry: object, name: str, col: Col) -> str:
     """A cell, as `table_of` has it."""
     value = getattr(entry, name)
+    if hasattr(value, "tolist"):
+        return " ".join(cells(value, col.digits)) if col.words is None else col.words(value)
     if value is None or value is UNSET or value != value:
         return "-"
     if col.words is not None:
