@@ -34,7 +34,7 @@ COMMANDS = {
     "extract": "extract 3r --runs 2 --stages 1 --generations 1 --no-certificate --out out",
 }
 """Quick ones first."""
-QUICK = 10
+QUICK = 9
 
 
 @pytest.fixture(scope="module")

@@ -135,7 +135,8 @@ import os, signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 os.kill(os.getpid(), signal.SIGINT)
 """
-    assert program(text, "--version").returncode == 0
+    done = program(text, "--version")
+    assert (done.returncode, done.stdout.startswith(b"torchid ")) == (0, True)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "latin-1", "utf-8"])

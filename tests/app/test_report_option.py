@@ -118,53 +118,6 @@ def test_all_studies_have_pages_of_their_own(command, tmp_path, monkeypatch):
     assert asked == [(n, f"page_{n}.html", sha256(study_file(n))) for n in names]
 
 
-def test_a_file_may_go_into_a_folder_that_is_still_to_be_made(command, tmp_path):
-    folder = tmp_path / "new"
-    done = command("check", "3r", "--out", folder, "--json", folder / "mine.json")
-    assert done.code == 0, done.err
-    assert (folder / "mine.json").exists()
-    # Another folder is not made.
-    elsewhere = command("check", "3r", "--out", folder, "--json", tmp_path / "other" / "mine.json")
-    assert elsewhere.code == 1
-    assert "other" in elsewhere.err
-
-
-@pytest.mark.parametrize("name", ["identify", "gap", "study"])
-def test_help_names_it(command, name):
-    shown = command(name, "--help")
-    assert "--report" in shown.out
-    assert "FILE.html" in shown.out
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--report", "nowhere/page.html"), ("nowhere/page.html", "does not exist")),
-        (("--report", "."), ("--report", "folder")),
-        (("--report", "same.x", "--json", "same.x"), ("--report", "--json", "same.x")),
-        (("--report", "r.pdf"), ("r.pdf", "FILE.html", "PDF")),
-        (("--report", "page"), ("FILE.html",)),
-    ],
-)
-def test_refused_before_any_work(command, folder, tmp_path, monkeypatch, options, words):
-    monkeypatch.chdir(tmp_path)
-    done = command("identify", "3r", folder / "check.csv", *options)
-    assert done.code == 1
-    for word in words:
-        assert word in done.err, done.err
-    assert not list(tmp_path.iterdir())
-
-
-def test_inputs_are_not_overwritten(command, folder, tmp_path):
-    log = tmp_path / "log.html"
-    log.write_bytes((folder / "check.csv").read_bytes())
-    before = sha256(log)
-    done = command("identify", "3r", log, "--report", tmp_path / "." / "log.html")
-    assert done.code == 1
-    assert "overwrite the input" in done.err
-    assert sha256(log) == before
-
-
 def test_without_jinja2_nothing_is_begun(command, folder, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     page = tmp_path / "page.html"

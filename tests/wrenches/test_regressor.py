@@ -79,16 +79,6 @@ def test_equals_pinocchio(robot: Robot, pinocchio: PinocchioOracle) -> None:
     assert relative(ours, torch.cat([force, moment], -1)) < 1e-13
 
 
-def test_projection_on_the_axis_is_the_torque(robot: Robot) -> None:
-    motion, sets = states(robot, 25), any_sets(robot, 3)
-    wrenches = internal_wrenches(robot, *motion, sets)
-    along = (wrenches.unflatten(-1, (2, 3)) * robot.axes[:, None]).sum(-1)
-    revolute = torch.tensor([k is JointType.REVOLUTE for k in robot.joint_types])
-    torques = torch.where(revolute, along[..., 1], along[..., 0])
-    expected = inverse_dynamics(robot, *motion, InertialParameters(sets.pi[:, None]))
-    assert relative(torques, expected) < 1e-13
-
-
 def test_base_force_is_mass_times_acceleration_of_the_whole_arm(robot: Robot) -> None:
     """Newton's law for the total centre of mass, whose acceleration is a second difference of its
     path q + dq s + ddq s^2 / 2: no part of the recursion is used."""
@@ -109,16 +99,6 @@ def test_base_force_is_mass_times_acceleration_of_the_whole_arm(robot: Robot) ->
     force = internal_wrenches(robot, q, dq, ddq, sets)[:, :, 0, :3]
     in_base = torch.einsum("tij,ktj->kti", link_poses(robot, q)[:, 0, :3, :3], force)
     assert relative(in_base, expected) < 1e-7
-
-
-@settings(max_examples=20)
-@given(st.integers(0, 10**6), st.floats(-5, 5), st.floats(-5, 5))
-def test_linear_in_the_parameters(seed: int, a: float, b: float) -> None:
-    robot = mixed_arm("RPRR", seed=seed % 7)
-    motion, pi = states(robot, 5, seed=seed), any_sets(robot, 2, seed).pi
-    both = InertialParameters(torch.cat([pi, (a * pi[0] + b * pi[1])[None]]))
-    x, y, z = internal_wrenches(robot, *motion, both)
-    assert torch.allclose(z, a * x + b * y, atol=1e-11 * float(x.abs().max() + y.abs().max()))
 
 
 @settings(max_examples=20)
@@ -197,8 +177,8 @@ def test_tiles_do_not_matter(size: tuple[int, int], monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(regressor, "SETS", size[0])
     monkeypatch.setattr(regressor, "INSTANTS", size[1])
     robot = arm("mixed")
-    check_errors(robot, 7, 101)
-    motion, sets = states(robot, 101), any_sets(robot, 7)
+    check_errors(robot, 7, 31)
+    motion, sets = states(robot, 31), any_sets(robot, 7)
     wrenches = internal_wrenches(robot, *motion, sets)
     assert relative(wrenches, by_recursion(robot, motion, sets)) < 1e-13
 
@@ -268,18 +248,6 @@ def test_single_precision(lwr: Robot) -> None:
     )
     exact = wrench_errors(lwr, *motion, sets, reference)
     assert relative(errors.moment_norm_rms.double(), exact.moment_norm_rms) < 1e-5
-
-
-def test_on_the_device(lwr: Robot, device: torch.device) -> None:
-    motion, sets = states(lwr, 30), any_sets(lwr, 3)
-    reference = lwr.require_parameters("the test")
-    there = [x.to(device) for x in motion]
-    errors = wrench_errors(lwr, *there, sets.to(device), reference.to(device))
-    assert errors.torque_rms.device.type == device.type
-    here = wrench_errors(lwr, *motion, sets, reference)
-    assert relative(errors.moment_max.cpu(), here.moment_max) < 1e-12
-    wrenches = internal_wrenches(lwr, *there, sets.to(device))
-    assert relative(wrenches.cpu(), internal_wrenches(lwr, *motion, sets)) < 1e-12
 
 
 def test_too_large_a_result_says_what_to_do(lwr: Robot) -> None:
