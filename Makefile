@@ -112,7 +112,7 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 docs: $(VENV)/.dev
-	$(BIN)/torchid effects --out docs
+	$(BIN)/python docs/draw_effects.py
 	$(BIN)/python docs/draw_concepts.py
 	PYTHONPATH=. $(BIN)/python docs/draw_house.py
 

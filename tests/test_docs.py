@@ -36,14 +36,6 @@ def test_files_that_are_named_exist(page: Path) -> None:
     assert not missing, f"{page.name} names {', '.join(missing)}"
 
 
-def test_a_file_that_is_gone_would_be_noticed(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(
-        "`torchid/gap/experiments.py`, `torchid/effects/`, `docs/*.md`, `a / b`, `x.py`"
-    )
-    assert named_files(page) == ["torchid/gap/experiments.py", "torchid/effects/"]
-
-
 def test_pages_need_no_other_host() -> None:
     pictures = [(p.name, t) for p in PAGES for t in links(p) if t.endswith((".png", ".svg"))]
     assert pictures

@@ -45,22 +45,6 @@ def test_failure_keeps_the_old_file_and_leaves_nothing(
     assert os.listdir(tmp_path) == ["a.txt"]
 
 
-def test_old_file_stands_until_the_end(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-    with atomic_write(path) as file:
-        file.write("new")
-        file.flush()
-        assert path.read_text() == "old"
-    assert path.read_text() == "new"
-
-
-def test_failure_without_an_old_file_leaves_an_empty_folder(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "a.txt"):
-        _ = 1 / 0
-    assert os.listdir(tmp_path) == []
-
-
 def test_missing_folder(tmp_path: Path) -> None:
     with (
         pytest.raises(TorchidError, match=r"no folder .*nowhere") as info,

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import torchid
-from torchid.errors import LogError, RobotError, TorchidError
+from torchid.errors import RobotError, TorchidError
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Limits
 from torchid.tensors import as_tensor, joint_signals
@@ -33,13 +33,22 @@ FORMS = {
 }
 
 
+SIGNALS = {
+    "inverse_dynamics": 3, "joint_wrenches": 3, "forward_dynamics": 3, "regressor": 3,
+    "mass_matrix": 1, "tool_pose": 1,
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("function", ["inverse_dynamics", "regressor"])
+@pytest.mark.parametrize("function", SIGNALS)
 def test_dynamics_of_any_form_are_those_of_tensors(function, form) -> None:
-    call, given = getattr(torchid, function), FORMS[form](Q)
-    found = call(ROBOT, given, given, given)
+    call, count = getattr(torchid, function), SIGNALS[function]
+    found = call(ROBOT, *[FORMS[form](Q)] * count)
     assert found.dtype is torch.float64
-    torch.testing.assert_close(found, call(ROBOT, *[tensor(Q)] * 3), rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(found, call(ROBOT, *[tensor(Q)] * count), rtol=1e-12, atol=1e-12)
+    assert call(ROBOT, *[np.array(Q, np.float32)] * count).dtype is torch.float64
+    with pytest.raises(TorchidError, match="one column a joint"):
+        call(ROBOT, *[FORMS[form](Q)[0][:2]] * count)
 
 
 @pytest.mark.parametrize("function", ["inverse_dynamics", "regressor"])
@@ -109,33 +118,6 @@ def test_a_log_does_not_share_memory_with_an_array() -> None:
     log = torchid.Log([0.0, 0.1], q)
     q[:] = 0
     assert torch.equal(log.q, tensor(Q))
-
-
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        ({"q": "positions"}, "q must be a table of numbers"),
-        ({"q": [[1.0, 2.0], [3.0]]}, "q must be a table of numbers"),
-        ({"q": [0.0, 1.0]}, "one column a joint"),
-        ({"tau": np.zeros((3, 3))}, "tau has another size"),
-        ({"trajectory": [0.5, 1.0]}, "trajectories are numbered"),
-        ({"trajectory": [0]}, "one trajectory number a sample"),
-        ({"t": []}, "at least one time stamp"),
-    ],
-)
-def test_what_is_no_log_is_one_message(fields, said) -> None:
-    with pytest.raises(LogError, match=said):
-        torchid.Log(**({"t": [0.0, 0.1], "q": Q} | fields))
-
-
-def test_row_numbers_are_no_mask() -> None:
-    with pytest.raises(LogError, match="mask"):
-        torchid.Log([0.0, 0.1], Q).select([0, 1])
-
-
-def test_torque_of_currents() -> None:
-    log = torchid.Log([0.0, 0.1], Q, current=Q).with_torque([1, 2, 3])
-    assert torch.equal(log.tau, tensor(Q) * tensor([1.0, 2.0, 3.0]))
 
 
 def test_bodies_and_robots() -> None:

@@ -8,17 +8,14 @@ import re
 import subprocess
 import sys
 import typing
-from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 import torchid
 from tests.documents import PACKAGES, ROOT, sources
 from torchid.next_motion.settings import MotionSettings
-from torchid.robot.model import Robot
 
 NAMES = [name for name in torchid.__all__ if name != "__version__"]
 LONG = (
@@ -125,32 +122,6 @@ def test_every_name_says_what_it_takes_returns_and_raises(name: str) -> None:
     for argument in inspect.signature(thing).parameters:
         assert re.search(rf"^ +(\w+, )*{argument}(, \w+)*: ", text, re.MULTILINE), argument
     assert "\nRaises:\n" in text
-
-
-@pytest.mark.parametrize(
-    ("function", "signals"),
-    [
-        (torchid.inverse_dynamics, 3),
-        (torchid.joint_wrenches, 3),
-        (torchid.forward_dynamics, 3),
-        (torchid.regressor, 3),
-        (torchid.mass_matrix, 1),
-        (torchid.tool_pose, 1),
-    ],
-)
-def test_arrays_and_lists_are_taken_for_tensors(
-    robot: Robot, function: Callable[..., torch.Tensor], signals: int
-) -> None:
-    given = torch.rand(signals, 4, robot.n, dtype=torch.float64).unbind()
-    wanted = function(robot, *given)
-    for form in (torch.Tensor.numpy, torch.Tensor.tolist):
-        torch.testing.assert_close(
-            function(robot, *(form(x) for x in given)), wanted, rtol=1e-12, atol=1e-12
-        )
-    single = function(robot, *(x.numpy().astype(np.float32) for x in given))
-    assert single.dtype == torch.float64
-    with pytest.raises(torchid.TorchidError, match="one column a joint"):
-        function(robot, *(x[:, 1:].numpy() for x in given))
 
 
 def test_defaults_of_the_commands_are_those_of_the_functions() -> None:

@@ -28,9 +28,10 @@ RECORDS = {
 }
 """Records of results, see `torchid.results.files`."""
 FIGURES = {
-    "EqualTorqueStudy": "torchid_study.report.equal_torque:figures",
-    "GivenSets": "torchid_study.report.given_sets:figures",
-    "Study": "torchid_study.report.study.figures:kinds",
+    "EqualTorqueStudy": "torchid_study.report.wrenches:figures",
+    "EqualTorqueRecord": "torchid_study.report.wrenches:figures",
+    "GivenSets": "torchid_study.report.wrenches:figures",
+    "GivenSetsRecord": "torchid_study.report.wrenches:figures",
 }
 """Figures of results, see `torchid.report.plots`."""
 

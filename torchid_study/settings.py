@@ -1,9 +1,7 @@
 """What a study is made of: configs/studies/*.yaml."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta, Struct
@@ -16,8 +14,11 @@ from torchid.robot.yaml_values import parsed_yaml
 Positive = Annotated[float, Meta(gt=0, lt=1e9)]
 
 
-@dataclass(frozen=True)
-class MotionSettings:
+class _Keys(Struct, frozen=True, forbid_unknown_fields=True):
+    pass
+
+
+class MotionSettings(_Keys, frozen=True):
     """A motion and how it is sampled.
 
     Attributes:
@@ -25,7 +26,7 @@ class MotionSettings:
         rate: [Hz].
         seed: of the motion; of its noise, the next.
         noise_db: signal-to-noise ratio of white noise on the trajectory, or None.
-        source: `random` or `table_5_1`, for excitation.
+        source: of the exciting trajectories.
         count: how many trajectories, for excitation.
     """
 
@@ -33,24 +34,19 @@ class MotionSettings:
     rate: Positive
     seed: int
     noise_db: float | None = None
-    source: str = "random"
+    source: Literal["random", "table_5_1"] = "random"
     count: int = 1
 
 
-class Scenario(Struct, frozen=True, forbid_unknown_fields=True):
-    """One simulation: which bounds, which loss, and the id of its best set in the report, which can
-    be the name of a file."""
+class Scenario(_Keys, frozen=True):
+    """One simulation: which bounds, which loss, and the id of its best set in the report."""
 
     id: str
     bounds: str
     penalty: Penalty
 
-    def __post_init__(self) -> None:
-        if Path(self.id).name != self.id:
-            raise ValueError(f"the scenario's id {self.id!r} cannot be the name of a file")
 
-
-class PayloadSettings(Struct, frozen=True, forbid_unknown_fields=True):
+class PayloadSettings(_Keys, frozen=True):
     """A body at the tool, in the tool frame; inertia about its centre of mass (6)."""
 
     mass: Positive
@@ -58,12 +54,11 @@ class PayloadSettings(Struct, frozen=True, forbid_unknown_fields=True):
     inertia_about_com: Annotated[tuple[float, ...], Meta(min_length=6, max_length=6)]
 
 
-@dataclass(frozen=True)
-class StudySettings:
+class StudySettings(_Keys, frozen=True, kw_only=True):
     """A whole study (sections 5.1 to 5.4).
 
     Attributes:
-        name, title: what it is.
+        name, title: what it is; its file gives the name.
         robot: built-in name.
         section: where the report has it.
         effects: linear effects identified with the rigid body.
@@ -75,7 +70,7 @@ class StudySettings:
         payload: held at the tool in the last part.
     """
 
-    name: str
+    name: str = ""
     title: str
     robot: str
     section: str
@@ -87,35 +82,18 @@ class StudySettings:
     search: SearchSettings
     total_mass: tuple[float, float]
     geometry: str
-    scenarios: tuple[Scenario, ...]
+    scenarios: Annotated[tuple[Scenario, ...], Meta(min_length=1)]
     payload: PayloadSettings
 
     def __post_init__(self) -> None:
         ids = [scenario.id for scenario in self.scenarios]
-        if not ids or len(set(ids)) < len(ids):
-            raise ValueError(f"scenarios need ids of their own, one at least: {ids}")
-
-    def quick(self) -> "StudySettings":
-        """The study with a small search: a fifth of the runs, stages and generations."""
-        search = self.search
-        return replace(
-            self,
-            search=replace(
-                search,
-                runs=max(4, search.runs // 5),
-                stages=max(4, search.stages // 5),
-                generations=max(10, search.generations // 5),
-            ),
-        )
-
-
-_KEYS = [key.name for key in fields(StudySettings) if key.name != "name"]
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"scenarios need ids of their own: {ids}")
 
 
 def study_names() -> list[str]:
-    """The built-in studies, in the report's order."""
-    names = [path.stem for path in config_folder("studies").glob("*.yaml")]
-    return sorted(names, key=lambda name: load_study(name).section)
+    """The built-in studies, in the report's order, which is that of their names."""
+    return sorted(path.stem for path in config_folder("studies").glob("*.yaml"))
 
 
 def study_file(name: str) -> Path:
@@ -132,19 +110,11 @@ def load_study(name: str) -> StudySettings:
     """
     path = study_file(name)
     if path.suffix not in (".yaml", ".yml") or not path.is_file():
-        available = sorted(p.stem for p in config_folder("studies").glob("*.yaml"))
-        raise TorchidError(f"there is no study '{name}'.", available=[*available, "all"])
+        raise TorchidError(f"there is no study '{name}'.", available=[*study_names(), "all"])
     data = parsed_yaml(path)
-    if not isinstance(data, Mapping) or set(data) != set(_KEYS):
-        got = sorted(set(data) ^ set(_KEYS)) if isinstance(data, Mapping) else type(data).__name__
-        raise TorchidError(
-            f"'{path}' is not a study: keys missing or unknown.", got=got, expected=_KEYS
-        )
     try:
-        search = SearchSettings(**data["search"])
-        for motion in ("excitation", "validation", "sets_motion", "wrench_motion"):
-            MotionSettings(**data[motion])  # else keys that it does not know are passed over
-        given = {**data, "name": path.stem, "search": {}}
-        return replace(msgspec.convert(given, StudySettings), search=search)
+        settings = msgspec.convert(data, StudySettings)
+        SearchSettings(**data["search"])  # a dataclass passes over keys that it does not know
     except (TypeError, ValueError) as error:
-        raise TorchidError(f"'{path}' is not a study.", got=f"{error!r}") from error
+        raise TorchidError(f"'{path}' is not a study.", got=str(error)) from error
+    return msgspec.structs.replace(settings, name=path.stem)

@@ -2,13 +2,14 @@
 
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 import torch
 
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
-from torchid.log.readers import write_log
+from torchid.log.readers import read_log, write_log
 from torchid.robot.library import load_robot
 
 
@@ -50,22 +51,24 @@ def folder(tmp_path_factory):
     return path
 
 
+def table_of(log) -> dict[str, torch.Tensor]:
+    """Columns of a log, by their names."""
+    table = {"t": log.t.clone()}
+    for name, signal in log.signals.items():
+        table |= {f"{name}{j + 1}": signal[:, j].clone() for j in range(log.n)}
+    return table
+
+
+def write_table(table: dict[str, torch.Tensor], path: Path) -> Path:
+    rows = torch.stack(list(table.values()), -1).tolist()
+    lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
 @pytest.fixture
 def broken(folder, tmp_path):
-    """broken(change) -> a csv of the fit log after `change(table)`, a dict of column -> tensor."""
-    from torchid.log.readers import read_log
-
-    log = read_log(folder / "check.csv")
-
-    def make(change, suffix: str = ".csv"):
-        table = {"t": log.t.clone()}
-        for name, signal in log.signals.items():
-            table |= {f"{name}{j + 1}": signal[:, j].clone() for j in range(log.n)}
-        table = change(table) or table
-        rows = torch.stack(list(table.values()), -1).tolist()
-        lines = [",".join(table), *(",".join(repr(v) for v in row) for row in rows)]
-        path = tmp_path / f"broken{suffix}"
-        path.write_text("\n".join(lines) + "\n")
-        return path
-
-    return make
+    """broken(change) -> a csv of the check log after `change(table)`."""
+    return lambda change: write_table(
+        change(table_of(read_log(folder / "check.csv"))), tmp_path / "broken.csv"
+    )

@@ -32,10 +32,9 @@ COMMANDS = {
     "fleet": f"fleet identify 3r LOG MOTION --store s --out out {SEARCHED}",
     "excite": "excite 3r --restarts 1 --duration 4 --save t.csv --ros2 r.json --out out",
     "extract": "extract 3r --runs 2 --stages 1 --generations 1 --no-certificate --out out",
-    "effects": "effects --out out",
 }
 """Quick ones first."""
-QUICK = 10
+QUICK = 9
 
 
 @pytest.fixture(scope="module")

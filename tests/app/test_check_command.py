@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 from tests.real_logs import FOLDER, NO_LOGS
 from torchid.app.check import check_command
 from torchid.app.commands import app
-from torchid.errors import TorchidError
 from torchid.feasibility.conditions import physics_only
 from torchid.feasibility.margins import feasibility
 from torchid.feasibility.sets import joined, nominal_set, read_sets, sets_record
@@ -47,7 +46,8 @@ def sets_file(path: Path, robot: str = "3r", count: int = 2, change=None) -> Pat
 
 
 def test_the_papers_lwr_is_infeasible_and_why(tmp_path):
-    got = call("kuka_lwr4_friction", "--json", tmp_path / "f.json", "--out", tmp_path / "out")
+    mine = tmp_path / "out" / "mine.json"  # a folder that is still to be made
+    got = call("kuka_lwr4_friction", "--json", mine, "--out", tmp_path / "out")
     assert got.exit_code == 0, got.output
     text = said(got)
     assert "inertia_3 and inertia_4 are not positive definite" in text
@@ -56,7 +56,7 @@ def test_the_papers_lwr_is_infeasible_and_why(tmp_path):
     assert "com_7z is 37 mm outside its box" in text
     assert "bounds 'normal'" in text
     assert text.index("infeasible") < text.index("link_1")
-    data = json.loads((tmp_path / "f.json").read_text())
+    data = json.loads(mine.read_text())
     assert data == json.loads((tmp_path / "out" / "feasibility.json").read_text())
     assert data["schema"] == "torchid.feasibility/1"
     (entry,) = data["sets"]
@@ -72,14 +72,9 @@ def test_a_feasible_robot_says_its_degree_and_what_is_nearest():
     assert "boxes: none" in said(got)
 
 
-def test_quiet_prints_nothing(tmp_path):
-    got = call("kuka_lwr4", "--quiet", "--json", tmp_path / "f.json")
-    assert (got.exit_code, got.output) == (0, "")
-
-
 def test_a_file_of_sets(tmp_path):
     file = sets_file(tmp_path / "s.json")
-    got = call(file, "--robot", "3r", "--json", tmp_path / "f.json")
+    got = call(file, "--json", tmp_path / "f.json")  # it knows its robot
     assert got.exit_code == 0, got.output
     data = json.loads((tmp_path / "f.json").read_text())
     assert [(e["id"], e["feasible"]) for e in data["sets"]] == [("3r", True), ("s1", False)]
@@ -87,54 +82,15 @@ def test_a_file_of_sets(tmp_path):
     assert "s1 is infeasible: inertia_2 is not positive definite" in said(got)
 
 
-def test_a_file_of_sets_knows_its_robot(tmp_path):
-    got = call(sets_file(tmp_path / "s.json"))
-    assert got.exit_code == 0, got.output
-    assert "s1 is infeasible" in said(got)
-
-
-@pytest.mark.slow
-def test_many_sets_are_one_row_each(tmp_path):
-    got = call(sets_file(tmp_path / "s.json", count=6), "--robot", "3r")
-    assert got.exit_code == 0
-    assert "1 of 6 sets are feasible; most often violated: inertia_2 (5)." in said(got)
-    rows = [line.split() for line in got.output.splitlines() if line.strip().startswith("s")]
-    assert len([row for row in rows if row[:2] == [row[0], "no"] and "inertia_2" in row]) == 5
-    assert "principal inertias" not in said(got)
-
-
 def test_very_many_sets_are_cut_off_and_all_in_the_record(tmp_path):
     file = sets_file(tmp_path / "s.json", count=60)
     got = call(file, "--robot", "3r", "--json", tmp_path / "f.json")
-    assert "1 of 60 sets are feasible" in said(got)
+    assert "1 of 60 sets are feasible; most often violated: inertia_2 (59)." in said(got)
+    assert "principal inertias" not in said(got)
     assert "And 10 more, in the JSON." in said(got)
     assert "s49" in said(got)
     assert "s50" not in said(got)
     assert len(json.loads((tmp_path / "f.json").read_text())["sets"]) == 60
-
-
-def test_mjcf(tmp_path):
-    path = tmp_path / "arm.xml"
-    path.write_text(
-        '<mujoco><worldbody><body name="a"><joint axis="0 0 1"/><geom type="box" '
-        'size="0.1 0.2 0.3" pos="0 0 0.2" density="1000"/></body></worldbody></mujoco>'
-    )
-    got = call(path, "--json", tmp_path / "f.json")
-    assert got.exit_code == 0, got.output
-    data = json.loads((tmp_path / "f.json").read_text())
-    assert data["conditions"]["geometry"] == "shapes (collision)"
-    assert data["sets"][0]["margins"]["com_1x"] == pytest.approx(0.1)
-    assert data["sets"][0]["links"][0]["mass"] == pytest.approx(48)
-    assert data["sets"][0]["plausibility"] == []
-
-
-def test_names_with_brackets_are_printed_as_they_are(tmp_path):
-    def rename(data):
-        data["sets"][0]["id"] = "run[/3]"
-
-    got = call(sets_file(tmp_path / "s.json", change=rename), "--robot", "3r")
-    assert got.exit_code == 0, got.output
-    assert "run[/3] is feasible" in said(got)
 
 
 def test_the_nearest_feasible_sets(tmp_path):
@@ -204,17 +160,6 @@ def inertial(ixx, iyy, izz, mass=1.0, extra=""):
 GOOD, BAD = inertial(0.02, 0.02, 0.02), inertial(0.001, 0.001, 0.003)
 
 
-def test_a_urdf_that_breaks_the_triangle_inequality(tmp_path):
-    path = tmp_path / "r.urdf"
-    path.write_text(URDF.format(base="", arm=GOOD, hand=BAD, kind="revolute"))
-    got = call(path, "--json", tmp_path / "f.json")
-    assert got.exit_code == 0
-    assert "inertia_2 breaks the triangle inequality (by 50 %)" in said(got)
-    data = json.loads((tmp_path / "f.json").read_text())
-    assert data["sets"][0]["links"][1]["name"] == "hand"
-    assert data["sets"][0]["reasons"] == ["inertia_2"]
-
-
 def test_a_bad_inertial_hidden_by_a_fixed_joint_is_named(tmp_path):
     path = tmp_path / "r.urdf"
     path.write_text(URDF.format(base=BAD, arm=GOOD, hand=BAD, kind="fixed"))
@@ -226,17 +171,6 @@ def test_a_bad_inertial_hidden_by_a_fixed_joint_is_named(tmp_path):
     own = [f for f in entry["plausibility"] if f["what"] == "own_triangle"]
     assert [(f["name"], f["link"]) for f in own] == [("base", None), ("hand", 1)]
     assert "the <inertial> of 'hand' (merged into link 1) breaks the triangle" in said(got)
-
-
-def test_shapes_of_the_urdf_are_the_geometry(tmp_path):
-    ball = '<visual><geometry><sphere radius="0.3"/></geometry></visual>'
-    path = tmp_path / "r.urdf"
-    path.write_text(
-        URDF.format(base="", arm=inertial(0.02, 0.02, 0.02, extra=ball), hand="", kind="fixed")
-    )
-    got = call(path)
-    assert got.exit_code == 0
-    assert "centres of mass in boxes: shapes (visual)" in said(got)
 
 
 def test_the_yamls_total_mass_is_checked_unless_refused(tmp_path):
@@ -267,58 +201,6 @@ def test_parameters_of_one_robot_against_another(tmp_path):
     other = tmp_path / "other.urdf"
     other.write_text(path.read_text().replace('xyz="0 1 0"', 'xyz="1 0 0"'))
     assert "place the frames of links 1" in said(call(path, "--robot", other))
-
-
-def test_bounds_of_a_search_can_be_named():
-    assert "Fv6 = -0.0132 is outside" in said(call("kuka_lwr4_friction", "--bounds", "from-robot"))
-
-
-def spoil(key, value):
-    def change(data):
-        data["sets"][0][key] = value
-
-    return change
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["kuka_lwr4", "--robot", "3r"], "different numbers of links"),
-        (["panda"], "no inertial parameters"),
-        (["3r", "--geometry", "huge"], "no bounds 'huge'"),
-        (["3r", "--bounds", "huge"], "no bounds 'huge'"),
-        (["3r", "--total-mass", "9,5"], "--total-mass"),
-        (["3r", "--total-mass", "9"], "--total-mass"),
-        (["3r", "--total-mass", "a,b"], "--total-mass"),
-        (["kuka_lwr4", "--shapes"], "no shapes"),
-        (["3r", "--tip", "link_2"], "`tip="),
-        (["nothing"], "unknown robot"),
-        (["none.yaml"], "does not exist"),
-        (["{bare}"], "`robot=...` is needed"),
-        (["{sets}", "--robot", "kuka_lwr4"], "of another robot"),
-        (["{sets}", "--robot", "nothing"], "unknown robot"),
-        (["{nan}", "--robot", "3r"], "is not JSON"),
-        (["{text}", "--robot", "3r"], "is not JSON"),
-        (["{other}", "--robot", "3r"], "missing required field `sets`"),
-        (["3r", "--nearest", "{folder}/none/x.json"], "does not exist"),
-    ],
-)
-def test_bad_input_is_one_error(tmp_path, arguments, words):
-    (tmp_path / "text.json").write_text("not json")
-    (tmp_path / "other.json").write_text('{"schema": "torchid.robot/1"}')
-    places = {
-        "sets": sets_file(tmp_path / "sets.json"),
-        "bare": sets_file(
-            tmp_path / "bare.json", change=lambda d: (d.pop("robot"), d.pop("robot_source"))
-        ),
-        "nan": sets_file(tmp_path / "nan.json", change=spoil("mass", [1.0, float("nan"), 1.0])),
-        "text": tmp_path / "text.json",
-        "other": tmp_path / "other.json",
-        "folder": tmp_path,
-    }
-    got = call(*(a.format(**places) for a in arguments))
-    assert isinstance(got.exception, TorchidError), got.output
-    assert words in str(got.exception)
 
 
 @pytest.mark.real

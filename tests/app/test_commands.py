@@ -11,9 +11,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchid.effects.base import Motion
-from torchid.excitation.synthetic import nominal_torque
-from torchid.log.readers import read_log
 from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
@@ -22,18 +19,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_other_processes_can_import_the_launcher():
     assert callable(runpy.run_path(str(ROOT / "cli.py"), run_name="__mp_main__")["main"])
-
-
-@pytest.mark.slow
-def test_version_and_help(command):
-    assert command("--version").out.startswith("torchid ")
-    for name in (
-        "robot", "excite", "simulate", "identify", "extract", "check", "atlas", "wrenches",
-        "payload", "study", "demo",
-    ):  # fmt: skip
-        shown = command(name, "--help")
-        assert shown.code == 0
-        assert "Example" in shown.out
 
 
 @pytest.mark.slow
@@ -76,12 +61,6 @@ def test_import_loads_neither_torch_nor_numpy():
     assert result.stdout.strip() == "[]"
 
 
-def test_wrong_usage_exits_with_2(command):
-    assert command("identify").code == 2
-    assert command("nonsense").code == 2
-    assert command("identify", "3r", "x.csv", "--no-such-option").code == 2
-
-
 @pytest.mark.parametrize("name", ["3r", "kuka_lwr4_friction", "panda"])
 def test_robot(command, tmp_path, name):
     target = tmp_path / "robot.json"
@@ -119,9 +98,7 @@ def test_identify_writes_everything(command, folder, tmp_path):
     assert data["cutoff_hz"] == 8.0
     assert max(data["held_out"]["relative_error_percent_moving"]) < 3
     pictures = sorted(p.name for p in out.glob("*.png"))
-    assert "parameters.png" in pictures
-    assert any(p.startswith("held_out_check") for p in pictures)
-    assert sum(p.startswith("fit_fit") for p in pictures) == 2
+    assert pictures == ["parameters.png", "torque_1.png"]
     assert all((out / p).read_bytes().startswith(b"\x89PNG") for p in pictures)
     assert not list(out.glob("*.tmp*"))
 
@@ -143,29 +120,8 @@ def test_identify_takes_effects_with_places_and_shapes(command, folder, tmp_path
     assert spring["places"] == [{"joint": 2, "curvature": 0.0}]
     assert stribeck["places"][0]["vs"] > 0
     assert any("was searched on the training data" in w for w in data["warnings"])
-    for row in ("joint_spring 2 curvature 0", "joint_spring 2 c0", "stribeck_friction 3 Fs"):
+    for row in ("curvature = 0 1/rad² of joint spring, joint 2; vs = ", "c02 ", "Fs3 "):
         assert row in " ".join(shown.out.split())
-
-
-def test_identify_refuses_effects_that_need_a_trusted_model(command, folder):
-    shown = command("identify", "3r_friction", folder / "check.csv", "--effects", "base_tilt")
-    assert shown.code != 0
-    assert "trusted parameters" in shown.err
-    assert "gear_coupling" in shown.err
-
-
-@pytest.mark.slow
-def test_identify_is_repeatable(command, folder, tmp_path):
-    """To rounding: BLAS adds in another order when memory is aligned differently."""
-    found = []
-    for k in range(2):
-        target = tmp_path / f"{k}.json"
-        command("identify", "3r_friction", folder / "check.csv", "--quiet", "--json", target)
-        found.append(json.loads(target.read_text()))
-    one, two = found
-    assert one["cutoff_hz"] == two["cutoff_hz"]
-    for a, b in zip(one["parameters"], two["parameters"], strict=True):
-        assert a["value"] == pytest.approx(b["value"], rel=1e-7, abs=1e-10)
 
 
 def test_quiet_prints_nothing(command, folder):
@@ -179,12 +135,6 @@ def test_currents_need_gains(command, broken, tmp_path):
         return {k.replace("tau", "i"): v / 10 if k[:3] == "tau" else v for k, v in table.items()}
 
     path = broken(to_currents)
-    refused = command("identify", "3r_friction", path)
-    assert refused.code == 1
-    assert "--gain" in refused.err
-    wrong = command("identify", "3r_friction", path, "--gain", "10,10")
-    assert wrong.code == 1
-    assert "expected: 3" in wrong.err
     target = tmp_path / "gain.json"
     assert command("identify", "3r_friction", path, "--gain", "10,10,10", "--cutoff", "8",
                    "--json", target).code == 0  # fmt: skip
@@ -193,23 +143,6 @@ def test_currents_need_gains(command, broken, tmp_path):
     )
     assert fc["joints"] == [1, 2, 3]
     assert fc["parameters"]["Fc"] == pytest.approx([0.245, 0.1523, 0.1827], rel=0.1)
-
-
-@pytest.mark.slow
-def test_excite_simulate_identify(command, tmp_path):
-    """The three commands hand files to each other."""
-    made = command("excite", "3r_friction", "--restarts", 2, "--out", tmp_path, "--pictures")
-    assert made.code == 0, made.err
-    record = json.loads((tmp_path / "excitation.json").read_text())
-    assert record["condition_number_after"][0] < 0.5 * record["condition_number_before"][0]
-    assert (tmp_path / "trajectory_1.png").exists()
-    log = tmp_path / "log.npz"
-    assert command("simulate", "3r_friction", tmp_path / "trajectory.csv", "--to", log).code == 0
-    target = tmp_path / "id.json"
-    shown = command("identify", "3r_friction", log, "--held-out-fraction", 0.3, "--json", target)
-    assert shown.code == 0, shown.err
-    errors = json.loads(target.read_text())["held_out"]["relative_error_percent"]
-    assert max(errors) < 3
 
 
 @pytest.mark.parametrize("kind", ["random", "sinusoid", "paper"])
@@ -236,27 +169,6 @@ def weak_arm(tmp_path):
     return made
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["optimised", "random", "sinusoid", "paper"])
-def test_excite_says_what_it_asks_of_the_drives(command, weak_arm, tmp_path, kind):
-    arm, target, data = weak_arm(0.6, 3, 0.8), tmp_path / "m.csv", tmp_path / "m.json"
-    done = command("excite", arm, "--kind", kind, "--restarts", 1, "--to", target, "--json", data)
-    assert done.code == 0, done.err
-    assert "largest torque, by the nominal parameters" in done.out
-    said = json.loads(data.read_text())["torque"]
-    assert (said["checked"], said["model"]) == (True, "nominal parameters")
-    shares = [joint["share"] for joint in said["joints"]]
-    log = read_log(target)
-    tau = nominal_torque(load_robot(arm), Motion(log.q, log.dq, log.ddq)).abs().amax(0)
-    limits = [joint["limit"][1] for joint in said["joints"]]
-    assert limits == [0.6, 3, 0.8]
-    assert (tau / torch.tensor(limits, dtype=torch.float64)).tolist() == pytest.approx(
-        shares, rel=0.02
-    )
-    # Table 5.1 is printed as it is, whatever the arm.
-    assert (max(shares) < 1) == (kind != "paper")
-
-
 def test_excite_beyond_every_drive_writes_nothing(command, weak_arm, tmp_path):
     done = command("excite", weak_arm(0.6, 3, 0.1), "--out", tmp_path / "out")
     assert done.code == 1
@@ -278,20 +190,6 @@ def test_excite_says_that_torque_limits_were_not_checked(command, tmp_path, robo
     )
 
 
-def test_simulate_paper_noise_leaves_no_error(command, tmp_path):
-    """The report's noise is on the trajectory: the coefficients come out to rounding."""
-    motion, log, target = tmp_path / "m.csv", tmp_path / "log.parquet", tmp_path / "id.json"
-    command("excite", "3r", "--kind", "paper", "--to", motion)
-    command("simulate", "3r", motion, "--noise", "paper", "--to", log)
-    shown = command("identify", "3r", log, "--effects", "none", "--cutoff", "none", "--method",
-                    "ols", "--json", target)  # fmt: skip
-    assert shown.code == 0, shown.err
-    values = {p["name"]: p["value"] for p in json.loads(target.read_text())["parameters"]}
-    assert len(values) == 15
-    assert values["m3c3y"] == pytest.approx(0.0024, abs=1e-11)
-    assert values["J2xx - J2yy + J2zz"] == pytest.approx(0.000498, abs=1e-11)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--json", "-")])
 def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...]) -> None:
@@ -306,21 +204,3 @@ def test_a_reader_that_leaves_is_no_error(tmp_path: Path, more: tuple[str, ...])
     os.close(writing)
     assert (done.returncode, done.stderr) == (0, "")
     assert more or json.loads((tmp_path / "r.json").read_text())["schema"]
-
-
-@pytest.mark.parametrize(
-    ("line", "instead"),
-    [
-        ("gap --simulated sim.csv --real arm.csv", "torchid pair"),
-        ("gap --real=arm.csv", "torchid pair"),
-        ("gap 3r run.csv --to urdf --out out", "torchid correct"),
-        ("gap 3r run.csv --for urdf --out out", "torchid correct"),
-        ("gap 3r run.csv --calibrate 3", "torchid calibrate"),
-    ],
-)
-def test_what_is_gone_says_what_replaces_it(command, line, instead):
-    done = command(*line.split())
-    assert (done.code, done.out) == (1, "")
-    assert done.err.startswith("error: ")
-    assert "` is gone." in done.err
-    assert instead in done.err

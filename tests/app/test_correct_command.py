@@ -2,7 +2,6 @@
 written where it cannot be used."""
 
 import json
-import re
 from dataclasses import replace
 
 import pytest
@@ -39,17 +38,6 @@ def _few_simulations(monkeypatch):
 
 
 @pytest.mark.slow
-def test_one_call(command, runs, tmp_path, types_unchecked):
-    done = command("correct", "3r", *runs, *FEW, "--to", "mujoco", "--out", tmp_path)
-    assert done.code == 0, done.err
-    said = json.loads((tmp_path / "correction.json").read_text())
-    assert said["judged"]["on"] == "parts that were not fitted"
-    errs = r"3r_corrected.xml errs [\d.]+ % of the torque in MuJoCo [\d.]+, the robot as given"
-    assert re.match(errs, " ".join(done.out.split()))
-    assert load_robot(tmp_path / "3r_corrected.xml").n == 3
-
-
-@pytest.mark.slow
 def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, types_unchecked):
     """It is judged by folds, and the JSON of `gap` with the logs gives the same file."""
     record, out = tmp_path / "gap.json", tmp_path / "out"
@@ -82,27 +70,3 @@ def test_a_diagnosis_is_carried_out_into_the_simulator(command, runs, tmp_path, 
     refused = command("export", record, "--robot", "ur10e", *logs, "--to", "urdf", "--out", out)
     assert refused.code == 1
     assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("correct", "--to", "mjcf", "--effects", "none"), ("--effects", "all")),
-        (
-            ("correct", "--to", "mjcf", "--held-out", "LOG", "--held-out-fraction", "0.2"),
-            ("exclude",),
-        ),
-        (("correct", "--to", "mjcf", "--name", "../x", *FEW), ("name",)),
-    ],
-)
-def test_bad_options(command, folder, tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    name, *rest = arguments
-    other = folder / "fit.parquet"
-    outcome = command(
-        name, "3r", folder / "check.csv", *(other if word == "LOG" else word for word in rest)
-    )
-    assert outcome.code == 1
-    for word in words:
-        assert word in outcome.err, outcome.err
-    assert not list(tmp_path.iterdir())

@@ -14,26 +14,6 @@ def test_a_folder_is_listed_and_indexed(command, tmp_path):
     assert 'href="arm/gap.json"' in index.read_text()
 
 
-def test_no_result_of_the_folder_is_written_over(command, tmp_path):
-    file = tmp_path / "results" / "gap.json"
-    file.parent.mkdir()
-    diagnosis().save(file)
-    before = file.read_text()
-    done = command("explain", file.parent, "--json", file)
-    assert done.code == 1
-    assert "would overwrite the input" in done.err
-    assert file.read_text() == before
-
-
-def test_the_page_of_one_result_is_refused(command, tmp_path):
-    file, page = tmp_path / "gap.json", tmp_path / "page.html"
-    diagnosis().save(file)
-    done = command("explain", file, "--report", page)
-    assert done.code == 1
-    assert "an index of a folder" in done.err
-    assert not page.exists()
-
-
 def test_the_only_result_of_the_present_folder_needs_no_name(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert "holds no result" in command("explain").err

@@ -86,20 +86,6 @@ def test_a_corrected_model_goes_into_the_users_file(tmp_path):
         run(model, "--to", "yaml", "--out", tmp_path, "--tip", "l4")
 
 
-@pytest.mark.parametrize("name", ["a/b", "", ".x", ".."])
-def test_names_of_files(tmp_path, name):
-    with pytest.raises(TorchidError, match="without folder"):
-        run("3r", "--to", "yaml", "--out", tmp_path, "--name", name)
-
-
-def test_bad_input(tmp_path):
-    with pytest.raises(TorchidError, match="cannot be read"):
-        run(tmp_path / "none.json", "--to", "c")
-    with pytest.raises(TorchidError, match="does not exist"):
-        run(tmp_path / "none.urdf", "--to", "c")
-    assert runner.invoke(app, ["export", "3r", "--to", "sdf"]).exit_code == 2
-
-
 def test_links_of_no_material_are_named(tmp_path):
     """A steel ball's mass in a thousandth of its inertia: a body, but none that can be built."""
     robot = load_robot("3r")

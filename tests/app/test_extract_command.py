@@ -39,37 +39,6 @@ def test_nominal_parameters_are_recovered_as_feasible_sets(command, tmp_path):
     assert (tmp_path / "search.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_sets_written_can_be_read_back(command, tmp_path):
-    from torchid.feasibility.sets import read_sets
-    from torchid.robot.library import load_robot
-
-    assert command("extract", "3r", *SMALL, "--out", tmp_path).code == 0
-    sets = read_sets(tmp_path / "sets.json", load_robot("3r"))
-    assert sets.ids == ("run_1", "run_2", "run_3")
-
-
-@pytest.mark.slow
-def test_the_kuka_has_a_least_loss_and_it_says_what_forces_it(command, tmp_path):
-    target = tmp_path / "x.json"
-    shown = command("extract", "kuka_lwr4", *SMALL, "--json", target)
-    data = json.loads(target.read_text())
-    assert data["certificate"]["phi_min"] == pytest.approx(1.0312e-4, rel=0.01)
-    assert "inertia_7" in data["certificate"]["forcing"]
-    assert "phi_min" in shown.out
-    least = min(s["phi"] for s in data["sets"] if s["feasible"])
-    assert data["certificate"]["phi_min"] * (1 - 1e-6) <= least
-    assert least <= 1.02 * data["certificate"]["phi_min"]
-
-
-@pytest.mark.slow
-def test_the_convex_optimum(command, tmp_path):
-    target = tmp_path / "x.json"
-    assert command("extract", "3r", "--method", "sdp", "--runs", "2", "--json", target).code == 0
-    data = json.loads(target.read_text())
-    assert data["method"] == "sdp"
-    assert all(s["feasible"] and s["phi"] < 1e-15 for s in data["sets"])
-
-
 NONE_MEETS = ("--total-mass", "100,200", "--search-anyway", "--runs", "2", "--stages", "1")
 
 
@@ -165,19 +134,6 @@ def test_an_atlas_says_what_the_fit_held(command, tmp_path, identified):
     assert any("exact" in w and "Fc1" in w for w in json.loads(target.read_text())["warnings"])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("loss", ["two-step", "one-step"])
-def test_from_an_identification(command, tmp_path, identified, loss):
-    target = tmp_path / "x.json"
-    shown = command("extract", "3r_friction", identified, "--loss", loss, *SMALL, "--json", target)
-    assert shown.code == 0, shown.err
-    data = json.loads(target.read_text())
-    assert data["loss"] == loss
-    best = next(s for s in data["sets"] if s["id"] == data["best"])
-    assert best["feasible"]
-    assert best["phi"] <= 1.05 * data["certificate"]["phi_strict"] + 1e-12
-
-
 @pytest.mark.parametrize("loss", some(["two-step", "one-step"], slow=1))
 def test_a_set_of_another_torque_is_said_to_be_one(command, tmp_path, identified, loss):
     """Coefficients that no body has: the least loss of coefficients is far off in torque."""
@@ -218,47 +174,6 @@ def test_atlas(command, tmp_path, identified):
     assert rows["Fv1"]["low"] < 0.0665 < rows["Fv1"]["high"]
     assert rows["J2xy"]["share_of_bounds"] < 0.05
     assert (tmp_path / "atlas.png").read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["kuka_lwr4", "--bounds", "loose"], "com_7z"),
-        (["kuka_lwr4", "--total-mass", "200,300"], "total_mass"),
-        (["3r", "--bounds", "lose"], "available: loose, normal, tight"),
-        (["3r", "--total-mass", "6,5"], "LO < HI"),
-        (["3r", "--total-mass", "a,5"], "not a number"),
-        (["3r", "--runs", "0"], "runs"),
-        (["3r", "--stages", "0"], "stages"),
-        (["3r", "--loss", "one-step"], "needs a log"),
-        (["kuka_lwr4", "--shapes"], "shapes"),
-        (["panda"], "parameters"),
-        (["3r", "no-such.json"], "cannot be read"),
-    ],
-)
-def test_bad_input(command, arguments, said):
-    shown = command("extract", *arguments)
-    assert shown.code == 1
-    assert said in shown.err
-    assert shown.err.startswith("error: ")
-
-
-def test_base_parameters_of_another_robot(command, identified):
-    shown = command("extract", "kuka_lwr4_friction", identified)
-    assert shown.code == 1
-    assert "another robot" in shown.err
-
-
-def test_a_changed_result_is_refused(command, identified, tmp_path):
-    data = json.loads(identified.read_text())
-    data["base_values"][0] = None
-    broken = tmp_path / "broken.json"
-    broken.write_text(json.dumps(data))
-    shown = command("extract", "3r_friction", broken)
-    assert shown.code == 1
-    assert "base_values" in shown.err
-    broken.write_text("{}")
-    assert "not a result of an identification" in command("extract", "3r_friction", broken).err
 
 
 def test_a_robot_of_known_kinematics_gets_bodies_and_a_file(command, folder, identified, tmp_path):

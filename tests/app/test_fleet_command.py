@@ -40,12 +40,6 @@ def test_the_type_is_written_and_a_unit_is_asked_about(command, folder, tmp_path
     said = json.loads((tmp_path / "gap.json").read_text())
     assert said["knowledge"]["sources"] == ["2 units in 4 sessions"]
     assert said["which"] == []  # nothing is odd about this unit
-    bad = command("fleet", "identify", "3r_friction", folder, "--save-model", tmp_path / "x.txt")
-    assert bad.code == 1
-    assert "--save-model" in bad.err
-    bad = command("fleet", "identify", "3r_friction", folder, "--unit", "arm-000")
-    assert bad.code == 1
-    assert "--save-model" in bad.err
 
 
 def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
@@ -62,50 +56,3 @@ def test_parts_then_the_whole_by_a_manifest(command, folder, tmp_path) -> None:
     done = command(*asked, "--json", tmp_path / "fleet.json")
     assert done.code == 0, done.err
     assert len(json.loads((tmp_path / "fleet.json").read_text())["logs"]) == 4
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ((), "logs of a fleet are needed"),
-        (("--manifest", "none.csv"), "cannot be read"),
-        (("LOGS", "--array", "3/2"), "--array is no part"),
-        (("LOGS", "--array", "1/2"), "a place that all of them see"),
-        (("LOGS", "--scheduler", "tcp://a:1"), "a place that all of them see"),
-        (("LOGS", "--workers", "2", "--scheduler", "tcp://a:1"), "exclude each other"),
-        (("LOGS", "--cutoff", "-1"), "cut-off is out of range"),
-    ],
-)
-def test_bad_input(command, folder, arguments, said) -> None:
-    words = [folder if word == "LOGS" else word for word in arguments]
-    done = command("fleet", "identify", "3r_friction", *words)
-    assert done.code == 1
-    assert said in done.err
-
-
-@pytest.mark.nightly
-def test_gap_maps_units_and_effects_on_one_page(command, folder, tmp_path) -> None:
-    pytest.importorskip("jinja2")
-    page = tmp_path / "gaps.html"
-    done = command(
-        "fleet", "gap", "3r", folder, "--effects", "viscous_friction,coulomb_friction",
-        "--parameters", "trusted", "--out", tmp_path / "out", "--report", page,
-    )  # fmt: skip
-    assert done.code == 0, done.err
-    data = json.loads((tmp_path / "out" / "fleet_gap.json").read_text())
-    assert data["schema"] == "torchid.fleet_gap/1"
-    # Logs as short as these show that there is friction, and hardly of which kind.
-    named = {e["effect"] for e in data["effects"]}
-    assert "coulomb_friction" in named
-    assert named <= {"viscous_friction", "coulomb_friction"}
-    # Some kind of it on each of three joints, in every unit.
-    assert sum(e["share"] for e in data["effects"]) == 3.0
-    text = page.read_text()
-    assert "script-src 'sha256-" in text
-    assert "arm-001" in text
-    again = command(
-        "fleet", "gap", "3r", folder, "--effects", "viscous_friction,coulomb_friction",
-        "--parameters", "trusted", "--out", tmp_path / "out",
-    )  # fmt: skip
-    assert again.code == 0, again.err
-    assert json.loads((tmp_path / "out" / "fleet_gap.json").read_text()) == data

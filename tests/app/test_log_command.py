@@ -13,7 +13,6 @@ from torchid.log.columns import columns_of
 from torchid.log.readers import read_log, write_log
 
 DEG = math.pi / 180
-CONFIGS = Path(__file__).parents[2] / "configs" / "robots"
 
 
 @pytest.fixture
@@ -200,39 +199,3 @@ def test_a_bag_with_several_topics(command, folder, tmp_path):
     assert record["signals"][0]["range"][2] == pytest.approx(
         [float(log.q[:, 2].min()), float(log.q[:, 2].max())]
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["mapping", "bag"])
-def test_other_formats_give_the_same_answer(command, folder, foreign, tmp_path, kind):
-    """What is identified is the same but for the rounding of units and time stamps."""
-    path, columns = foreign
-    options = ["--columns", columns]
-    if kind == "bag":
-        log = read_log(folder / "check.csv")
-        names = ["joint_1", "joint_2", "joint_3"]
-        path = write_bag(
-            tmp_path / "bag", "ros1", {"/joint_states": messages_of(log, names, (1, 2, 0))}
-        )
-        options = []
-    results = []
-    for log_path, given in ((folder / "check.csv", []), (path, options)):
-        target = tmp_path / "result.json"
-        result = command(
-            "identify", "3r_friction", log_path, *given, "--cutoff", "8", "--json", target
-        )
-        assert result.code == 0, result.err
-        results.append([p["value"] for p in json.loads(target.read_text())["parameters"]])
-    assert results[1] == pytest.approx(results[0], rel=1e-6, abs=1e-8)
-
-
-@pytest.mark.parametrize("arguments", [["identify"], ["gap"], ["payload", "--loaded", "LOG"]])
-def test_every_command_that_reads_logs_takes_the_mapping(command, foreign, arguments):
-    """It is refused for the unit, before anything is computed."""
-    path, _ = foreign
-    name, *rest = arguments
-    first = [name, *rest[:1]] if name == "withheld" else [name]
-    more = [] if name == "withheld" else [path if word == "LOG" else word for word in rest]
-    result = command(*first, "3r_friction", path, *more, "--columns", "q=pos_{j0} furlong")
-    assert result.code == 1
-    assert "q cannot be in this unit" in result.err

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 
 from tests.doctor.synthetic import clean
 from torchid.app.commands import app
-from torchid.errors import TorchidError
 from torchid.log.readers import read_log, write_log
 
 
@@ -51,11 +50,6 @@ def test_a_log_that_other_commands_refuse_is_examined_and_mended(bad: Path, tmp_
     again = tmp_path / "again.json"
     assert run("log", "doctor", "3r_friction", copy, "--json", again, "--quiet") == ""
     assert json.loads(again.read_text())["silent"] is True
-
-
-def test_the_log_itself_is_never_written_over(bad: Path) -> None:
-    with pytest.raises(TorchidError, match="overwrite the input"):
-        run("log", "doctor", "3r", bad, "--apply", bad)
 
 
 @pytest.mark.slow

@@ -29,35 +29,6 @@ def test_names_do_not_command_the_terminal(command, tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("record", "said"),
-    [
-        ({"effect": "glue", "joint": 1}, "unknown effect"),
-        ({"effect": "coulomb_friction", "joint": 1, "Fc": 1e300}, "not a finite number"),
-        ({"effect": "time_delay", "joint": 1, "delay": -1.0}, "out of range"),
-        ({"effect": "time_delay", "joint": 1, "delay": 1e6}, "out of range"),
-        ({"effect": "viscous_friction", "joint": 1}, "wrong entries"),
-    ],
-)
-def test_effects_of_a_robot_are_looked_at_by_every_command(command, tmp_path, record, said) -> None:
-    file = tmp_path / "arm.yaml"
-    file.write_text(yaml.safe_dump({**GOOD, "effects": [record]}))
-    done = command("robot", file)
-    assert done.code == 1
-    assert said in done.err
-
-
-def test_a_log_that_stands_still_is_refused(command, broken) -> None:
-    def still(table):
-        for name in table:
-            if name[0] in "qd":
-                table[name] *= 0
-
-    done = command("identify", "3r_friction", broken(still))
-    assert done.code == 1
-    assert "no joint moves" in done.err
-
-
-@pytest.mark.parametrize(
     "arguments",
     [
         ("extract", "3r", "--runs", 10**8),

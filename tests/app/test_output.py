@@ -4,8 +4,6 @@ import pytest
 
 from torchid.app import commands  # noqa: F401  # their options are what is asked for
 from torchid.app.output import in_options, option_names
-from torchid.errors import TorchidError
-from torchid.robot.library import load_robot
 
 
 @pytest.mark.parametrize(
@@ -35,12 +33,3 @@ def test_options_are_those_of_all_commands() -> None:
     assert option_names()["error_cutoff"] == "--error-cutoff"  # identify
     assert option_names()["background"] == "--background"  # gap
     assert "logs" not in option_names()  # an argument without a name
-
-
-def test_one_error_has_two_wordings(command) -> None:
-    with pytest.raises(TorchidError, match="`tip="):
-        load_robot("3r", tip="link_1")
-    done = command("robot", "3r", "--tip", "link_1")
-    assert done.code == 1
-    assert "--tip chooses a part" in done.err
-    assert "`" not in done.err

@@ -9,8 +9,6 @@ from torchid.log.readers import write_log
 from torchid.results.files import load
 from torchid.robot.library import load_robot
 
-BOTH = ("--simulated", "sim.csv", "--real", "real.csv")
-
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
@@ -58,19 +56,3 @@ def test_without_effects_there_is_no_corrected_model(command, pair, tmp_path):
     assert "no corrected model" in done.err
     assert not (tmp_path / "x.yaml").exists()
     assert json.loads((tmp_path / "x.json").read_text())["faults"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "words"),
-    [
-        (("--real", "real.csv"), 2, "--simulated"),
-        (("3r", "sim.csv", *BOTH), 2, "sim.csv"),
-        ((*BOTH, "--save-model", "x.yaml"), 1, "needs its ROBOT"),
-        (("ur10e", *BOTH), 1, "joint"),
-    ],
-)  # fmt: skip
-def test_bad_options(command, pair, monkeypatch, arguments, code, words):
-    monkeypatch.chdir(pair)
-    done = command("pair", *arguments)
-    assert done.code == code
-    assert words in done.err

@@ -9,7 +9,6 @@ import typer
 from typer.testing import CliRunner
 
 from torchid.app.identify import payload_command
-from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.identification.payload import with_payload
@@ -70,37 +69,7 @@ def test_no_payload_is_said(logs, tmp_path):
     )  # fmt: skip
     assert got.exit_code == 0, got.output
     assert "No payload can be seen" in got.output
-    assert "not known" in got.output
+    assert ["com", "x", "-", "-"] in [line.split() for line in got.output.splitlines()]
     data = json.loads((tmp_path / "p.json").read_text())
     assert not data["seen"]
     assert data["frames"]["tool"]["com"]["value"] == [None] * 3
-
-
-@pytest.mark.slow
-def test_quiet_prints_nothing(logs):
-    got = call(
-        "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", "--cutoff", 5,
-        "--quiet", "--model", "point_mass", "--effects", "viscous_friction,coulomb_friction",
-    )  # fmt: skip
-    assert (got.exit_code, got.output) == (0, "")
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--cutoff", "-1"], "--cutoff"),
-        (["--effects", "magic"], "magic"),
-        (["--gain", "1,2"], "--gain"),
-    ],
-)
-def test_mistakes_are_one_message(logs, options, said):
-    got = call(
-        "3r_friction", logs / "empty.parquet", "--loaded", logs / "full.parquet", *options
-    )  # fmt: skip
-    assert isinstance(got.exception, TorchidError)
-    assert said in str(got.exception)
-
-
-def test_a_log_with_payload_is_required(logs):
-    got = call("3r_friction", logs / "empty.parquet")
-    assert got.exit_code == 2

@@ -9,7 +9,6 @@ from tests.position.planted import planted, robot, true_servos
 from torchid.log.readers import read_log, write_log
 from torchid.position.model import ServoArm
 from torchid.results.files import load
-from torchid.robot.library import load_robot
 from torchid.robot.writer import write_robot
 
 
@@ -24,14 +23,6 @@ def folder(tmp_path_factory):
         write_log(part, folder / f"run{k}.csv")
     write_robot(robot(), folder / "plain.yaml")
     return folder
-
-
-@pytest.mark.slow
-def test_a_model_is_a_robot_too(folder):
-    again = ServoArm.read(folder / "model.yaml")
-    assert torch.equal(again.servos.joint, true_servos(3).joint)
-    assert again.scale.tolist() == [1.0, 1.0, 1.0]
-    assert load_robot(folder / "model.yaml").n == again.robot.n == 3
 
 
 @pytest.mark.parametrize("windows", [None, 2])
@@ -54,41 +45,3 @@ def test_replay_writes_what_the_model_foretells(command, folder, tmp_path, windo
     again = load(record)
     assert [one.file for one in again.logs] == ["run0.csv", "run1.csv"]
     assert all(bool((one.error_mrad < 5).all()) for one in again.logs)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("plain.yaml", "run0.csv", "--replay", "--to", "OUT"), "has no servos"),
-        (("model.yaml", "run0.csv", "--replay"), "one file a log"),
-        (("model.yaml", "run0.csv", "run0.csv", "--replay", "--to", "OUT"), "one name"),
-        (("model.yaml", "run0.csv", "--replay", "--to", "."), "--save would overwrite the input"),
-        (("model.yaml", "run0.csv", "--replay", "--windows", "-1", "--to", "OUT"), "is a time"),
-        (("model.yaml", "run0.csv", "run1.csv", "--to", "OUT"), "several logs need several names"),
-    ],
-)
-def test_bad_replays(command, folder, tmp_path, monkeypatch, arguments, words):
-    monkeypatch.chdir(folder)
-    target = tmp_path / "out"
-    result = command("simulate", *(str(target) if a == "OUT" else a for a in arguments))
-    assert result.code == 1
-    assert words in " ".join((result.out + result.err).split())
-    assert not target.exists()
-
-
-def test_a_log_without_commands_cannot_be_replayed(command, folder, tmp_path):
-    log = read_log(folder / "run0.csv")
-    write_log(log.replace(u=None), tmp_path / "bare.csv")
-    result = command(
-        "simulate", folder / "model.yaml", tmp_path / "bare.csv", "--replay", "--to", tmp_path / "o"
-    )
-    assert result.code == 1
-    assert "has no commands" in " ".join((result.out + result.err).split())
-
-
-def test_options_of_torque_do_not_go_with_commands(command, folder):
-    result = command(
-        "gap", folder / "plain.yaml", folder / "run0.csv", "--effects", "viscous_friction"
-    )
-    assert result.code == 1
-    assert "commands and positions" in " ".join((result.out + result.err).split())

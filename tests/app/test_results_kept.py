@@ -1,11 +1,7 @@
 """A second run does not write over the results of the first, and one that fails leaves nothing."""
 
 import json
-import os
 import time
-from hashlib import sha256
-
-import pytest
 
 import torchid
 from torchid.errors import TorchidError
@@ -34,30 +30,6 @@ def test_a_second_run_is_told_what_to_paste(command, folder, tmp_path) -> None:
     refused = command("gap", "3r", folder / "check.csv", "--save-model", model)
     assert (refused.code, str(model) in refused.err) == (1, True)
     assert model.read_text() == "mine"
-
-
-def test_what_goes_on_is_no_second_run(command, tmp_path, monkeypatch) -> None:
-    out = tmp_path / "sets"
-    few = ("extract", "3r", "--runs", "2", "--stages", "1", "--generations", "1", "--out", out)
-    assert command(*few, "--no-certificate").code == 0
-    assert command(*few).code == 1
-
-
-@pytest.mark.parametrize("out", ["one", "one/two"])
-@pytest.mark.parametrize("there", [False, True])
-def test_a_run_that_fails_leaves_no_empty_folder(command, broken, tmp_path, out, there) -> None:
-    target = tmp_path / out
-    if there:
-        target.mkdir(parents=True)
-
-    def one_short(table):
-        return {name: values[:7] for name, values in table.items()}
-
-    log = broken(one_short)
-    before = sorted(os.walk(tmp_path))
-    done = command("identify", "3r_friction", log, "--cutoff", "none", "--out", target)
-    assert done.code == 1, done.out
-    assert sorted(os.walk(tmp_path)) == before
 
 
 def test_results_that_come_meanwhile_are_not_written_over(
@@ -106,16 +78,3 @@ def test_a_command_that_fails_behind_its_answer_leaves_the_old_set(
     monkeypatch.setattr("torchid.report.panels.save", full)
     assert command(*asked, "--overwrite", "--seed", 7).code == 1
     assert {path: path.read_bytes() for path in out.iterdir()} == before
-
-
-def test_a_result_has_the_hash_of_each_file_beside_it(command, folder, tmp_path) -> None:
-    out = tmp_path / "result"
-    asked = ("identify", "3r_friction", folder / "check.csv", "--cutoff", "8", "--pictures")
-    assert command(*asked, "--out", out).code == 0
-    said = json.loads((out / "identification.json").read_text())
-    written = {path.name: path for path in out.glob("*.png")}
-    assert written
-    assert said["hashes"] == {
-        name: sha256(path.read_bytes()).hexdigest() for name, path in written.items()
-    }
-    assert torchid.load(out / "identification.json").n_base == said["n_base"]

@@ -54,47 +54,6 @@ def test_effects_change_the_motion(command, trajectory, tmp_path) -> None:
     assert said["effects"][0]["Fc"] == 0.6
 
 
-@pytest.mark.slow
-def test_closed_loop_without_effects_follows(command, trajectory, tmp_path) -> None:
-    done, target, _ = _simulate(
-        command, trajectory, tmp_path, "--closed-loop", "--rate", 200, "--noise", "none"
-    )
-    assert done.code == 0, done.err
-    log, wanted = read_log(target), read_log(trajectory)
-    assert log.samples == 2 * (wanted.samples - 1) + 1
-    assert float((log.q[::2] - wanted.q).abs().max()) < 1e-4
-
-
-@pytest.mark.slow
-def test_honest_noise_hides_the_accelerations(command, trajectory, tmp_path) -> None:
-    done, target, _ = _simulate(command, trajectory, tmp_path, "--closed-loop")
-    assert done.code == 0, done.err
-    assert set(read_log(target).signals) == {"q", "tau"}
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--effect", "coulom:joint=2"], "unknown effect 'coulom'"),
-        (["--effect", "coulomb_friction:joint=2"], "Fc [N m] (Coulomb friction) is missing"),
-        (["--effect", "coulomb_friction:Fc=1"], "joint (1 to 3) is missing"),
-        (["--effect", "coulomb_friction:joint=4,Fc=1"], "joint that does not exist"),
-        (["--effect", "coulomb_friction:joint=1,Fc=high"], "Fc is not a number"),
-        (["--effect", "coulomb_friction:joint=1,Fc=1,Fv=2"], "'Fv' does not belong"),
-        (["--effect", "coulomb_friction:joint=1,Fc"], "cannot be read at 'Fc'"),
-        (["--effect", "saturation:joint=1,clip=1"], "limit [N m]"),
-        (["--rate", 200], "motion under control. expected: effects, or --closed-loop"),
-        (["--closed-loop", "--noise", "paper"], "paper noise"),
-        (["--closed-loop", "--rate", 0], "sampling rate"),
-    ],
-)
-def test_bad_options_are_explained(command, trajectory, tmp_path, options, said) -> None:
-    done, target, _ = _simulate(command, trajectory, tmp_path, *options)
-    assert done.code == 1
-    assert said in " ".join(done.err.split())
-    assert not target.exists()
-
-
 def test_several_trajectories_are_several_logs(command, trajectory, tmp_path) -> None:
     """Side by side, each as it is alone; the noise of each is its own."""
     given = ("simulate", "3r", trajectory, trajectory)

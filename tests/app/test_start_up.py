@@ -1,8 +1,10 @@
 """What the command line loads before a command needs it."""
 
+import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -16,65 +18,73 @@ from torchid.robot import model
 
 ROOT = str(Path(__file__).resolve().parents[2])
 LOADED = """
-import sys
-sys.argv = ["torchid", *sys.argv[1:]]
+import json, sys
 from torchid.app import main
-try:
-    main()
-finally:
-    names = ("torch", "scipy", "pandas", "matplotlib", "mujoco", "sympy", "jinja2")
-    print("loaded:", *(name for name in names if name in sys.modules))
+names = ("torch", "scipy", "pandas", "matplotlib", "mujoco", "sympy", "jinja2")
+for line in json.loads(sys.argv.pop()):
+    sys.argv[1:] = line
+    sys.argv[0], code = "torchid", 0
+    try:
+        main()
+    except SystemExit as stop:
+        code = stop.code or 0
+    print("loaded:", code, *(name for name in names if name in sys.modules))
 """
 
 
-def _loaded(*arguments: str, code: int = 0, folder: Path | None = None) -> list[str]:
-    """Libraries that a command loads."""
+def _after(lines: Sequence[Sequence[str]], folder: Path | None = None) -> list[str]:
+    """Exit codes of commands in one process, one after the other, and libraries loaded by then."""
     done = subprocess.run(
-        [sys.executable, "-c", LOADED, *arguments],
-        capture_output=True, text=True, check=False, cwd=folder,
+        [sys.executable, "-c", LOADED, json.dumps(lines)],
+        capture_output=True, text=True, check=True, cwd=folder,
         env=os.environ | {"PYTHONPATH": ROOT},
     )  # fmt: skip
-    assert done.returncode == code, done.stderr
-    return done.stdout.splitlines()[-1].split()[1:]
+    return [x[8:] for x in done.stdout.splitlines() if x.startswith("loaded: ")]
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["--version"], ["gap", "--help"]])
-def test_help_needs_no_library(arguments: list[str]) -> None:
-    assert _loaded(*arguments) == []
+def _loaded(*arguments: str, folder: Path | None = None) -> list[str]:
+    """Libraries that a command loads."""
+    (said,) = _after([arguments], folder)
+    code, *names = said.split()
+    assert code == "0"
+    return names
+
+
+def test_help_needs_no_library() -> None:
+    assert _after([[], ["--help"], ["--version"], ["gap", "--help"]]) == ["0"] * 4
 
 
 HERE = ("gap", "3r", "run.csv")
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("gap", "nope.urdf", "run.csv"),
-        ("gap", "3r", "nofile.csv"),
-        (*HERE, "--effects", "glue"),
-        (*HERE, "--save-model", "a.txt"),
-        (*HERE, "--json", "nowhere/a.json"),
-        (*HERE, "--out", "run.csv"),
-        (*HERE, "--out", "old"),
-        (*HERE, "--to", "urdf"),
-        ("identify", "3r", "columns.csv"),
-        ("identify", "3r", "run.csv", "--columns", "q=pos_{j}"),
-        ("identify", "3r", "run.csv", "--effects", "glue"),
-        ("excite", "3r"),
-        ("simulate", "3r", "run.csv"),
-        ("export", "none.json", "--to", "urdf"),
-        ("explain", "old/other.json"),
-        ("compare", "a.json", "b.json"),
-    ],
+WRONG = (
+    ("gap", "nope.urdf", "run.csv"),
+    ("gap", "3r", "nofile.csv"),
+    (*HERE, "--effects", "glue"),
+    (*HERE, "--save-model", "a.txt"),
+    (*HERE, "--json", "nowhere/a.json"),
+    (*HERE, "--out", "run.csv"),
+    (*HERE, "--out", "old"),
+    (*HERE, "--to", "urdf"),
+    ("identify", "3r", "columns.csv"),
+    ("identify", "3r", "run.csv", "--columns", "q=pos_{j}"),
+    ("identify", "3r", "run.csv", "--effects", "glue"),
+    ("excite", "3r"),
+    ("simulate", "3r", "run.csv"),
+    ("export", "none.json", "--to", "urdf"),
+    ("explain", "old/other.json"),
+    ("compare", "a.json", "b.json"),
 )
-def test_errors_of_arguments_files_and_names_need_no_torch(tmp_path, arguments) -> None:
+
+
+def test_errors_of_arguments_files_and_names_need_no_torch(tmp_path) -> None:
     """Which is loaded in more than a second."""
     (tmp_path / "run.csv").write_text("t,q1,q2,q3,tau1,tau2,tau3\n0,0,0,0,0,0,0\n1,1,1,1,1,1,1\n")
     (tmp_path / "columns.csv").write_text("a,b,c\n0,0,0\n")
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "gap.json").write_text("{}")
     (tmp_path / "old" / "other.json").write_text("{}")
-    assert _loaded(*arguments, code=1, folder=tmp_path) == []
+    assert _after(WRONG, tmp_path) == ["1"] * len(WRONG)
 
 
 @pytest.mark.slow

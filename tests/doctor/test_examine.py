@@ -11,7 +11,6 @@ from tests.doctor.test_signals import NOT_MENDED
 from tests.marks import quick_first, some
 from torchid.app.options import numbers
 from torchid.doctor.examine import examine
-from torchid.errors import LogError
 from torchid.log.readers import read_log, write_log
 
 SHOWN = (
@@ -76,24 +75,6 @@ def test_currents_are_said_to_need_gains():
     assert option == "--gain"
     assert numbers(option, gains, 3) == pytest.approx(list(found.estimate), rel=1e-3)
     assert np.median(found.estimate) == pytest.approx(10.0, rel=0.4)
-
-
-@pytest.mark.slow
-def test_record_is_plain():
-    robot, log = clean("3r", 0)
-    data = examine(robot, log).plain()
-    assert data["schema"] == "torchid.doctor/1"
-    assert data["silent"] is True
-    assert {"name", "verdict", "joints", "estimate", "interval", "evidence", "fix"} <= set(
-        data["checks"][0]
-    )
-
-
-def test_a_log_of_another_robot_is_refused():
-    robot, _ = clean("3r", 0)
-    _, log = clean("ur10e", 0)
-    with pytest.raises(LogError, match="number of joints"):
-        examine(robot, log)
 
 
 def test_a_log_without_torque_is_examined_all_the_same():

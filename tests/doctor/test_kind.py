@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.doctor.synthetic import clean
-from tests.marks import some
+from tests.marks import quick_first, some
 from torchid.doctor.examine import examine
 from torchid.doctor.first import WrongLogError, ask_first
 from torchid.doctor.kind import holds_no_gravity
@@ -83,7 +83,7 @@ def test_a_torque_with_gravity_is_never_said_to_hold_none(name, arm):
     assert not said(*torques(name, inertial=0.0, **arm))
 
 
-@pytest.mark.parametrize("name", ["ur10e", "panda"])
+@pytest.mark.parametrize("name", quick_first(["ur10e", "panda"], 1))
 def test_another_moment_of_the_joint_is_no_torque_without_gravity(name):
     """Joints whose torque no body explains have no vote on gravity and units."""
     robot, log = clean(name, 0, nominal=True)

@@ -24,7 +24,6 @@ SEEN = (
 )  # fmt: skip
 NOT_MENDED = ("dropouts", "tau clipped", "tau in coarse steps", "tau of a joint zero",
               "a joint stands still")  # fmt: skip
-SMALL_ANGLES = ("q and dq in degrees",)
 
 
 def planted(fault, name, seed):

@@ -77,54 +77,6 @@ def test_a_robot_without_gravity_has_no_gravity_torque(robot: Robot) -> None:
     assert torch.equal(gravity_torque(weightless, q), torch.zeros(5, robot.n, dtype=torch.float64))
 
 
-def swing(robot: Robot, friction: float, *, seconds: float, step: float) -> tuple[Tensor, ...]:
-    """Energy, and energy lost to viscous friction, along a free fall from rest: RK4 on q, dq and
-    the lost energy."""
-    parameters = consistent_parameters(robot.n, 5)
-
-    def rates(x: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-        q, dq, _ = x
-        ddq = forward_dynamics(robot, q, dq, -friction * dq, parameters)
-        return dq, ddq, (friction * dq * dq).sum()
-
-    def along(x: tuple[Tensor, ...], k: tuple[Tensor, ...], h: float) -> tuple[Tensor, ...]:
-        return tuple(a + h * b for a, b in zip(x, k, strict=True))
-
-    x: tuple[Tensor, ...] = (
-        torch.full((robot.n,), 0.4, dtype=torch.float64),
-        torch.zeros(robot.n, dtype=torch.float64),
-        torch.zeros((), dtype=torch.float64),
-    )
-    energies, lost = [], []
-    for _ in range(round(seconds / step) + 1):
-        q, dq, work = x
-        kinetic = lagrange.kinetic_energy(robot, q, dq, parameters)
-        energies.append(kinetic + lagrange.potential_energy(robot, q, parameters))
-        lost.append(work)
-        k1 = rates(x)
-        k2 = rates(along(x, k1, step / 2))
-        k3 = rates(along(x, k2, step / 2))
-        k4 = rates(along(x, k3, step))
-        mean = tuple((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in zip(k1, k2, k3, k4, strict=True))
-        x = along(x, mean, step)
-    return torch.stack(energies), torch.stack(lost)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", ["3r", pytest.param("mixed", marks=pytest.mark.nightly)])
-def test_energy_is_kept_without_friction(name: str) -> None:
-    energy, _ = swing(arm(name), 0.0, seconds=0.2, step=5e-4)
-    exchanged = energy.abs().max()
-    assert float((energy - energy[0]).abs().max() / exchanged) < 1e-8
-
-
-@pytest.mark.nightly
-def test_energy_lost_is_the_work_of_friction() -> None:
-    energy, lost = swing(arm("3r"), 0.05, seconds=0.2, step=5e-4)
-    assert float(lost[-1]) > 1e-3
-    assert float((energy + lost - energy[0]).abs().max() / lost[-1]) < 1e-6
-
-
 def test_power_balance(robot: Robot) -> None:
     """d(T + U)/dt = tau . dq at any state: energies of one model, torques of the other."""
     q, dq, ddq = states(robot, 50)

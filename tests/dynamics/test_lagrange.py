@@ -1,10 +1,9 @@
 """Euler-Lagrange: equal to Pinocchio and MuJoCo, and the properties its terms have."""
 
-import pytest
 import torch
 from torch import Tensor
 
-from tests.arms import arm, mixed_arm, relative, states
+from tests.arms import mixed_arm, relative, states
 from tests.oracles import MujocoOracle, PinocchioOracle
 from torchid.dynamics import lagrange
 from torchid.dynamics.forward import mass_matrix
@@ -48,15 +47,6 @@ def test_kinetic_energy_is_half_the_quadratic_form(robot: Robot) -> None:
     q, dq, _ = states(robot, 50)
     quadratic = 0.5 * torch.einsum("...i,...ij,...j->...", dq, mass_matrix(robot, q), dq)
     assert relative(lagrange.kinetic_energy(robot, q, dq), quadratic) < 1e-12
-
-
-@pytest.mark.parametrize("batch", [(), (1,), (5, 3), (0,)])
-def test_any_leading_batch(batch: tuple[int, ...]) -> None:
-    robot = arm("3r")
-    motion = states(robot, *batch)
-    assert lagrange.inverse_dynamics(robot, *motion).shape == (*batch, 3)
-    assert lagrange.mass_matrix(robot, motion[0]).shape == (*batch, 3, 3)
-    assert lagrange.gravity_torque(robot, motion[0]).shape == (*batch, 3)
 
 
 def test_gradient_in_q() -> None:

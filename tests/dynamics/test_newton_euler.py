@@ -96,12 +96,6 @@ def test_parameter_batches_broadcast_against_states(robot: Robot) -> None:
         assert relative(wrenches[k], joint_wrenches(robot, q, dq, ddq, one)) < 1e-14
 
 
-def test_one_state_many_parameter_sets(robot: Robot) -> None:
-    motion = states(robot)
-    sets = consistent_parameters(robot.n, 11, (4,))
-    assert inverse_dynamics(robot, *motion, sets).shape == (4, robot.n)
-
-
 def test_gradients_in_motion_and_parameters() -> None:
     robot = mixed_arm("RPR")
     motion = [x.requires_grad_() for x in states(robot, 2)]
@@ -127,16 +121,6 @@ def test_device(robot: Robot, device: torch.device) -> None:
     tau = inverse_dynamics(robot, *(x.to(device) for x in motion))
     assert tau.device.type == device.type
     assert relative(tau.cpu(), inverse_dynamics(robot, *motion)) < 1e-13
-
-
-def test_non_contiguous_input(robot: Robot) -> None:
-    motion = states(robot, 20)
-    # Columns first and every other row: neither is a contiguous (M, n).
-    strided = [x.T.contiguous().T for x in motion]
-    doubled = [x.repeat_interleave(2, 0)[::2] for x in motion]
-    expected = inverse_dynamics(robot, *motion)
-    torch.testing.assert_close(inverse_dynamics(robot, *strided), expected, rtol=1e-12, atol=1e-12)
-    torch.testing.assert_close(inverse_dynamics(robot, *doubled), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_long_motion_is_its_instants(robot: Robot) -> None:

@@ -99,14 +99,6 @@ def test_device(robot: Robot, device: torch.device, method: Method) -> None:
     assert relative(y.cpu(), regressor(robot, *motion)) < 1e-12
 
 
-def test_non_contiguous_input(robot: Robot) -> None:
-    motion = states(robot, 20)
-    strided = [x.T.contiguous().T for x in motion]
-    torch.testing.assert_close(
-        regressor(robot, *strided), regressor(robot, *motion), rtol=1e-12, atol=1e-12
-    )
-
-
 @pytest.mark.parametrize("kind", ["R", "P"])
 def test_last_joint_alone(kind: str) -> None:
     """By hand: a slider's force is m (ddq - g_axis), and it feels no other parameter."""

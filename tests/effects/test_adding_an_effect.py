@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from docs.draw_effects import effect_text, family_figure
 from tests.arms import arm
 from tests.documents import ROOT, sources
 from tests.export.arms import exported, with_other
@@ -22,7 +23,7 @@ from torchid.effects.base import Coefficient, Example, JointEffect, Motion
 from torchid.effects.c_text import add
 from torchid.effects.registry import KINDS, effect_from_record, model_torque, on_every_joint
 from torchid.export.checks import compiler
-from torchid.report.catalogue import effect_record, effect_text, family_figure
+from torchid.report.effects import effect_record
 from torchid.simulation.closed_loop import closed_loop
 from torchid.simulation.open_loop import rollout
 
@@ -73,7 +74,7 @@ def test_the_catalogue_tells_it_and_finds_what_it_is_confused_with(registered):
     assert record["confused_with"][0] == "power_law_friction"
     text = effect_text(AirDrag)
     assert "[power_law_friction](#power_law_friction) exactly" in text  # its exponent 2
-    assert "`identify` and `gap`" in text
+    assert "fitted by" not in text  # as most: by `identify` and `gap`
     assert "air_drag" in effect_record(KINDS["power_law_friction"])["confused_with"]
 
 

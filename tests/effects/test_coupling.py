@@ -53,14 +53,6 @@ def test_the_other_joint_at_rest_leaves_the_joints_own_friction_alone() -> None:
     assert not columns[:, 5].any()
 
 
-def test_inertia_is_symmetric() -> None:
-    """d tau_5 / d ddq_6 = d tau_6 / d ddq_5: it comes from a kinetic energy."""
-    m = motion()
-    for ratio in (1.0, -0.5):
-        column = GearCoupling(5, 4, ratio).torque_columns(m)[..., 1]
-        torch.testing.assert_close(column[:, 5] / m.ddq[:, 4], column[:, 4] / m.ddq[:, 5])
-
-
 def test_neighbours_of_the_same_kind_either_way_and_both_senses() -> None:
     found = GearCoupling.candidates(arm("panda"))
     assert len(found) == 24
@@ -70,9 +62,3 @@ def test_neighbours_of_the_same_kind_either_way_and_both_senses() -> None:
     assert {e.joints for e in GearCoupling.candidates(arm("mixed"))} == {(2, 3), (3, 2)}
     with pytest.raises(ValueError, match="must differ"):
         GearCoupling(3, 3)
-
-
-@pytest.mark.parametrize("batch", [(), (0,), (4, 3)])
-def test_any_batch(batch: tuple[int, ...]) -> None:
-    m = Motion(*states(arm("panda"), *batch))
-    assert GearCoupling(5, 4).torque_columns(m).shape == (*batch, 7, 3)

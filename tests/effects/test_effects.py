@@ -19,12 +19,10 @@ from tests.effects.cases import (
 from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFriction
 from torchid.effects.registry import (
-    COLUMN_KINDS,
     FAMILIES,
     KINDS,
     effect_from_record,
     effect_kind,
-    on_every_joint,
 )
 
 JOINT_KINDS = {name: kind for name, kind in KINDS.items() if issubclass(kind, JointEffect)}
@@ -155,14 +153,6 @@ def test_acts_on_its_own_joint_only(kind: type[JointEffect]) -> None:
     assert not effect.torque_columns(state)[:, other].any()
 
 
-@joint_kind
-def test_dtype_and_device_follow_the_motion(kind: type[JointEffect], device: torch.device) -> None:
-    state = Motion(*(None if x is None else x.to(device, torch.float32) for x in trajectory()))
-    torque = on_joint(kind).torque(state, [1.0] * len(kind.coefficients))
-    assert torque.dtype is torch.float32
-    assert torque.device.type == device.type
-
-
 @shaped_kind
 def test_a_grid_of_shapes_in_one_batch_is_one_by_one(kind: type[JointEffect]) -> None:
     full = shape_grid(kind, trajectory())
@@ -200,27 +190,6 @@ def test_formula_is_stepping_through_the_trajectory(kind: type[JointEffect]) -> 
         columns, memory = kind.advance(instant(k), dt if k else 0.0, memory, *rows)
         torch.testing.assert_close(columns, whole[:, k], rtol=1e-10, atol=1e-12)
     assert (memory is not None) == kind.memory
-
-
-@joint_kind
-def test_one_arm_at_one_instant(kind: type[JointEffect]) -> None:
-    """Simulation of a single arm: signals (n,), t ()."""
-    state = instants(trajectory())
-    shapes = [g[0] for g in shape_grid(kind, trajectory())]
-    columns, _ = kind.advance(state, 0.001, kind.initial(state, *shapes), *shapes)
-    assert columns.shape == (state.q.shape[-1], len(kind.coefficients))
-    assert bool(columns.isfinite().all())
-
-
-def test_planted_values_of_all_plain_columns_together() -> None:
-    """The joint dwells, so that an asymmetry is no offset."""
-    effects = on_every_joint(COLUMN_KINDS, 6)
-    assert [e.joint for e in effects] == list(range(6)) * len(COLUMN_KINDS)
-    own = [e for e in effects if e.joint == JOINT]
-    a = torch.cat([e.columns(trajectory()) for e in own], -1)
-    values = torch.rand(a.shape[1], dtype=torch.float64)
-    found = torch.linalg.lstsq(a, (a @ values).unsqueeze(-1)).solution.squeeze(-1)
-    torch.testing.assert_close(found, values, rtol=1e-11, atol=1e-11)
 
 
 @pytest.mark.parametrize("name", DISSIPATIVE)

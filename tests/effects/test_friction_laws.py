@@ -31,16 +31,6 @@ def test_stribeck_at_rest_at_its_speed_and_far_above(d: float) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-12)
 
 
-def test_stribeck_exponent_in_a_batch_is_the_instance_s() -> None:
-    motion = at(0.05, 0.1, 0.4)
-    batch = StribeckFriction.formula(
-        motion, torch.tensor(0.1, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)
-    )
-    assert torch.equal(batch[..., 0, :], StribeckFriction(0, vs=0.1, d=1.0).columns(motion))
-    default = StribeckFriction.formula(motion, torch.tensor(0.1, dtype=torch.float64))
-    assert torch.equal(default[..., 0, :], StribeckFriction(0, vs=0.1).columns(motion))
-
-
 def test_stribeck_with_coulomb_falls_from_breakaway_to_coulomb() -> None:
     motion = at(*torch.logspace(-4, 1, 50, dtype=torch.float64).tolist())
     total = CoulombFriction(0).torque(motion, [2.0]) + StribeckFriction(0).torque(motion, [1.0])
@@ -59,11 +49,6 @@ def test_power_law_by_hand(a: float) -> None:
 def test_load_dependent_friction_has_the_sign_of_the_speed_not_the_load(load: float) -> None:
     found = LoadDependentFriction(0).torque(at(-2.0, 0.0, 0.1, torque=load), [0.1])
     assert found.tolist() == [-0.5, 0.0, 0.5]
-
-
-def test_load_dependent_friction_needs_the_torque() -> None:
-    with pytest.raises(ValueError, match="load_dependent_friction needs the motion's torque"):
-        LoadDependentFriction(0).columns(at(1.0))
 
 
 def test_asymmetry_by_direction() -> None:

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from torch import Tensor
 
 from torchid.effects.base import Motion
-from torchid.effects.friction import CoulombFriction
 from torchid.effects.hysteresis import PreslidingHysteresis
 
 
@@ -29,14 +28,6 @@ def zigzag(amplitude: float, turns: int, each: int) -> Tensor:
         for a, b in corners.unfold(0, 2, 1)
     ]
     return torch.cat([*legs, corners[-1:]])
-
-
-@pytest.mark.parametrize("length", [0.01, 0.3])
-def test_from_rest_it_builds_up_exponentially(length: float) -> None:
-    q = torch.linspace(0, 2, 37, dtype=torch.float64) ** 2
-    expected = 1 - torch.exp(-q / length)
-    torch.testing.assert_close(deflection(q, length), expected, rtol=1e-12, atol=1e-14)
-    torch.testing.assert_close(deflection(-q, length), -expected, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 5.0])
@@ -74,15 +65,6 @@ def test_torque_depends_on_the_path_not_on_its_sampling() -> None:
     q = zigzag(0.1, turns=3, each=33)
     coarse = deflection(q[::32], 0.05)
     torch.testing.assert_close(coarse, deflection(q, 0.05)[::32], rtol=1e-12, atol=1e-12)
-
-
-def test_over_long_travel_it_is_coulomb_friction() -> None:
-    q = zigzag(3.0, turns=2, each=61)
-    dq = torch.gradient(q)[0].unsqueeze(-1)
-    sign = CoulombFriction(0).columns(Motion(q.unsqueeze(-1), dq, dq))[:, 0]
-    inner = (torch.arange(len(q)) % 60) > 10
-    gap = (deflection(q, 0.02) - sign)[inner]
-    assert float(gap.abs().max()) < 1e-10
 
 
 def test_it_never_exceeds_its_limit_and_rests_at_rest() -> None:

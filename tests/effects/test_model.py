@@ -129,22 +129,6 @@ def test_gradients_of_motion_values_and_bodies(kind: type[Effect]) -> None:
         assert float((by * way).sum()) == pytest.approx(wanted, rel=1e-4, abs=1e-4 * abs(wanted))
 
 
-def test_gradients_follow_a_link_that_swings() -> None:
-    gear = {"effect": "joint_elasticity", "joint": LAST + 1, "compliance": 1e-4, "damping": 3.0}
-    model = ArmModel(replace(robot(), effects=(gear,)))
-    state, t = piece()
-    weight, way = random_like(state[2], 1), random_like(state[2], 2)
-    ddq = state[2].clone().requires_grad_()
-    tau = model.torque(*state[:2], ddq, t)
-    torch.testing.assert_close(tau, model.torque(*state, t), rtol=1e-12, atol=1e-11)
-    (by,) = torch.autograd.grad((tau * weight).sum(), ddq)
-
-    def along(step: float) -> Tensor:
-        return (model.torque(*state[:2], state[2] + step * way, t) * weight).sum()
-
-    assert float((by * way).sum()) == pytest.approx(slope(along), rel=1e-6)
-
-
 @every_kind
 def test_single_precision_in_is_single_precision_out(kind: type[Effect]) -> None:
     model = ArmModel(with_one(kind))
@@ -235,26 +219,6 @@ def test_gradients_of_accelerations() -> None:
     model.forward = model.forward_dynamics  # what `functional_call` calls
     leaves = (q, dq, tau, model.values["viscous_friction 2"].detach())
     assert torch.autograd.gradcheck(accelerations, [x.requires_grad_() for x in leaves], atol=1e-5)
-
-
-def test_a_coefficient_is_learnt_from_torques() -> None:
-    truth, model, motion = friction(), friction(), moves()
-    model.values["viscous_friction 2"].data.fill_(0.0)
-    model.values.requires_grad_()
-    steps = torch.optim.LBFGS(model.values.parameters(), line_search_fn="strong_wolfe")
-    wanted = truth.torque(*motion)
-
-    def loss() -> Tensor:
-        steps.zero_grad()
-        missed = (model.torque(*motion) - wanted).square().mean()
-        missed.backward()
-        return missed
-
-    for _ in range(5):
-        steps.step(loss)
-    assert model.values["viscous_friction 2"].item() == pytest.approx(0.4, abs=1e-4)
-    assert model.robot.effects[0]["Fv"] == pytest.approx(0.4, abs=1e-4)
-    assert torch.equal(model.pi, truth.pi)
 
 
 def test_a_trained_body_is_the_torque_at_once() -> None:

@@ -22,13 +22,6 @@ def test_it_repeats_after_a_period_and_flips_after_half(k: float) -> None:
     torch.testing.assert_close(ripple(q + period / 2, k, [0.3, -0.4]), -here, rtol=0, atol=1e-11)
 
 
-def test_sine_and_cosine_make_any_phase() -> None:
-    q = torch.linspace(0, 1, 50, dtype=torch.float64)
-    expected = 0.5 * torch.cos(9 * q - 0.8)
-    found = ripple(q, 9.0, [0.5 * math.sin(0.8), 0.5 * math.cos(0.8)])
-    torch.testing.assert_close(found, expected, rtol=1e-13, atol=1e-13)
-
-
 def long_motion(travel: float = 3.0) -> Motion:
     """One joint there and back along its travel, faster and slower, under a load that changes."""
     t = torch.arange(0, 30, 0.01, dtype=torch.float64)

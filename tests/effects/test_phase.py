@@ -80,12 +80,6 @@ def test_rest_is_of_second_order(effect, values) -> None:
     assert order(effect, arm("panda"), values) == pytest.approx(2, abs=0.1)
 
 
-@pytest.mark.parametrize("lag", [0.002, 0.0083])
-def test_lag_is_exact_where_its_secant_is(lag: float) -> None:
-    assert closed(FilterLag(lag), arm("panda"), [lag]) < 1e-6
-    assert closed(TimeDelay(1, lag), arm("panda"), [lag]) < 1e-6
-
-
 def test_secant_of_the_elasticity_at_its_compliance_is_of_third_order() -> None:
     robot = arm("panda")
     rests = []

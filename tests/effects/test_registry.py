@@ -54,13 +54,6 @@ def by_hand(record: MappingProxyType, dq: Tensor) -> Tensor:
     )
 
 
-def test_a_robot_without_effects_has_no_effect_torque() -> None:
-    robot = arm("3r")
-    state = Motion(*states(robot, 4))
-    assert nominal_effects(robot) == []
-    assert torch.equal(effect_torque(robot, [], state), torch.zeros(4, 3, dtype=torch.float64))
-
-
 @pytest.mark.parametrize(
     ("record", "error", "text"),
     [

@@ -53,19 +53,3 @@ def test_a_mean_over_time_by_hand() -> None:
         torch.tensor(0.0, dtype=torch.float64),
     )
     assert found.flatten().tolist() == [1.0, 1.5, 1.75, 1.875, 1.9375]
-
-
-def test_slopes_and_constants_are_broadcast_over_a_grid() -> None:
-    a, b = torch.rand(5, 1, 1, dtype=torch.float64), torch.randn(40, 3, dtype=torch.float64)
-    found = affine_scan(a, b, torch.tensor(0.3, dtype=torch.float64))
-    assert found.shape == (5, 40, 3)
-    for k in range(5):
-        one = loop(affine, a[k].expand(40, 3), b, torch.full((3,), 0.3, dtype=torch.float64))
-        torch.testing.assert_close(found[k], one, rtol=1e-12, atol=1e-12)
-
-
-def test_gradients_pass_through_the_scan() -> None:
-    a = torch.rand(7, 2, requires_grad=True, dtype=torch.float64)
-    b = torch.randn(7, 2, requires_grad=True, dtype=torch.float64)
-    z = torch.randn(2, requires_grad=True, dtype=torch.float64)
-    assert torch.autograd.gradcheck(affine_scan, (a, b, z))

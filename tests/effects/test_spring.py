@@ -102,11 +102,3 @@ def test_a_cubic_spring_is_nearly_a_hardening_one(rest: float, k3: float) -> Non
 def test_columns_are_well_conditioned_half_a_turn_away(curvature: float) -> None:
     a = columns(torch.linspace(2.6, 3.6, 100, dtype=torch.float64), curvature)
     assert float(torch.linalg.cond(a / a.norm(dim=0))) < 1e6
-
-
-@pytest.mark.parametrize("curvature", CURVATURES)
-def test_stiffness_is_the_slope_of_the_torque(curvature: float) -> None:
-    q = torch.linspace(-1.2, 0.8, 41, dtype=torch.float64, requires_grad=True)
-    torque = columns(q, curvature) @ torch.tensor([3.0, -1.5], dtype=torch.float64)
-    (slope,) = torch.autograd.grad(torque.sum(), q)
-    assert torch.allclose(JointSpring(0, curvature).stiffness((3.0, -1.5), q.detach()), slope)

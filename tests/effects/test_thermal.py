@@ -31,15 +31,6 @@ def test_short_logs_show_the_slope_only() -> None:
         torch.testing.assert_close(slope, expected, rtol=1e-4, atol=0)
 
 
-@pytest.mark.parametrize(("t", "batch"), [((), ()), ((), (4,)), ((4,), (4,)), ((9,), (4, 9))])
-def test_time_has_one_axis_less_than_motion(t: tuple, batch: tuple) -> None:
-    state = motion(60 * torch.rand(t, dtype=torch.float64), *batch)
-    found = ThermalFrictionDrift(0).columns(state)
-    assert found.shape == (*batch, 2)
-    warmth = 1 - torch.exp(-state.t / 60)  # type: ignore[operator]
-    torch.testing.assert_close(found[..., 0], state.dq[..., 0] * warmth)
-
-
 def test_it_needs_time_and_a_time_constant() -> None:
     state = motion(torch.tensor(0.0, dtype=torch.float64))._replace(t=None)
     with pytest.raises(ValueError, match="thermal_friction_drift needs the motion's t"):

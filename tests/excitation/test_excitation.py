@@ -20,10 +20,8 @@ from torchid.excitation.trajectories import (
     paper_trajectories_3r,
     random_trajectory,
     sinusoid,
-    trajectory_log,
 )
 from torchid.identification.base_parameters import base_parameters
-from torchid.log.readers import read_log, write_log
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits, Robot
 from torchid.robot.yaml_file import from_mapping
@@ -321,15 +319,6 @@ def test_the_design_improves_the_condition_number(name):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("name", "highest"), [("3r", 175.0), ("kuka_lwr4", 55.0)])
-@pytest.mark.parametrize("seed", some(range(5), 1))
-def test_the_whole_design(name, highest, seed):
-    designed = full_design(load_robot(name), seed=seed)
-    assert designed.condition_after < highest
-    assert designed.condition_after < designed.start_condition / 3
-
-
-@pytest.mark.nightly
 def test_the_determinant_grows_too():
     robot = load_robot("3r")
     effects = on_every_joint(["viscous_friction", "coulomb_friction", "torque_offset"], 3)
@@ -394,21 +383,3 @@ def test_the_condition_number_of_too_few_rows():
 
 
 # --- files
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
-def test_trajectories_come_back_from_a_file(tmp_path, suffix):
-    trajectories = paper_trajectories_3r()
-    path = tmp_path / f"exciting{suffix}"
-    write_log(trajectory_log(trajectories, 50), path)
-    log = read_log(path)
-    assert log.trajectory_count == 3
-    assert log.tau is None
-    planned = trajectories.sample(50)
-    for name in ("q", "dq", "ddq"):
-        assert torch.equal(getattr(log, name).reshape(3, -1, 3), getattr(planned, name))
-
-
-def test_a_log_of_one_trajectory():
-    log = trajectory_log(sinusoid(load_robot("3r"), 0), 100, names=("check",))
-    assert (log.samples, log.n, log.names) == (1001, 3, ("check",))

@@ -5,11 +5,9 @@ import torch
 
 from tests.arms import arm
 from torchid.effects.friction import CoulombFriction
-from torchid.errors import TorchidError
 from torchid.excitation.design import excite
-from torchid.excitation.synthetic import PaperNoise, simulate, synthetic_log
+from torchid.excitation.synthetic import simulate, synthetic_log
 from torchid.log.model import Log
-from torchid.simulation.controller import Controller
 
 
 @pytest.fixture(scope="module")
@@ -41,20 +39,3 @@ def test_an_effect_is_a_record_or_an_object_and_adds_its_torque(motion: Log) -> 
     moving = one.dq[:, 1].abs() > 0.05
     assert (alone[moving, 1] - 0.6 * one.dq[moving, 1].sign()).abs().max() < 1e-3
     assert alone[:, [0, 2]].abs().max() < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"rate": 100.0}, "closed_loop=True"),
-        ({"controller": Controller()}, "closed_loop=True"),
-        ({"closed_loop": True, "noise": PaperNoise()}, "HonestNoise"),
-        (
-            {"effects": [{"effect": "coulomb_friction", "joint": 4, "Fc": 0.6}]},
-            "available: 1, 2, 3",
-        ),
-    ],
-)
-def test_what_is_refused(motion: Log, options: dict, said: str) -> None:
-    with pytest.raises(TorchidError, match=said):
-        simulate(arm("3r"), motion, **options)

@@ -22,14 +22,13 @@ from torchid.export.correction import CLAIMED, Correction
 from torchid.export.engines import InMujoco, InPinocchio
 from torchid.export.export import export_dynamics
 from torchid.export.projection import Projector
-from torchid.export.record import Kept
 from torchid.export.write_xml import xml_of
 from torchid.extraction.entropic import Room
 from torchid.gap.data import prepare
 from torchid.gap.settings import GapSettings
 from torchid.log.model import Log
 from torchid.log.readers import write_log
-from torchid.report.exported import _kept, correction_tables, report_of_correction
+from torchid.report.exported import correction_tables, report_of_correction
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.knowledge import Knowledge
 from torchid.robot.library import load_robot
@@ -435,15 +434,3 @@ def test_a_yaml_is_corrected_in_the_file_that_it_was_made_from(tmp_path):
     done = correct(saved, saved, log, "mjcf", tmp_path / "out", settings=settings)
     assert "by hand" in done.files[0].read_text()
     assert bool((done.judged.engine < 0.3 * done.judged.nominal).all())
-
-
-@pytest.mark.parametrize(
-    ("share", "said"),
-    [
-        (0.0, "nothing; 0.17 of 0.17 lost"),
-        (0.5, "50 % by damping 0.3 of joint 2; 0.085 of 0.17 lost"),
-    ],
-)
-def test_no_more_is_lost_than_there_was(share, said):
-    kept = Kept("time_delay", (), share, "damping", 1, 0.3, 0.17, 0.17 * (1 - share))
-    assert _kept(kept, "urdf") == said

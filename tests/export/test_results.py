@@ -203,24 +203,6 @@ def test_pseudo_inertia_is_not_mistaken_for_the_inertia_about_the_origin(tmp_pat
     assert raised.value.got.startswith("inertia_2")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("not json", "not JSON"),
-        ("[1]", "a JSON object"),
-        ('{"schema": "torchid.gap/2"}', "carries no dynamics"),
-        ('{"schema": "torchid.feasibility/1"}', "carries no dynamics"),
-    ],
-)
-def test_other_files_are_refused(tmp_path, text, words):
-    path = tmp_path / "x.json"
-    path.write_text(text)
-    with pytest.raises(TorchidError, match=words):
-        load(path)
-    with pytest.raises(TorchidError, match="cannot be read"):
-        load(tmp_path / "none.json")
-
-
 def test_the_robot_is_the_one_recorded(tmp_path):
     path = tmp_path / "r.json"
     assert named_robot(path, {"robot": "x", "robot_source": "3r"}, None).name == "3r"

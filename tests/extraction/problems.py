@@ -9,12 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tests.extraction import pycma_engine
-from torchid.extraction.cma import batched
 from torchid.extraction.cma.search import SearchState, start
-
-ENGINES = {"batched": batched.minimise, "cma": pycma_engine.minimise}
-"""Ours, and pycma as a peer."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
-"""The search engines: against pycma's parameters and map, on problems with known optima, and for
-the invariances that CMA-ES has by construction."""
+"""The search engine: on problems with known optima, and for the invariances that CMA-ES has by
+construction."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.extraction.problems import (
-    ENGINES,
     PROBLEMS,
     begin,
     generations_to,
@@ -20,12 +19,9 @@ from tests.extraction.problems import (
     sphere,
 )
 from tests.marks import quick_first
-from torchid.errors import TorchidError
+from torchid.extraction.cma.batched import minimise
 from torchid.extraction.cma.search import PERIOD, default_population
 from torchid.typing import Tensor
-
-NAMES = sorted(ENGINES)
-
 
 # Finding optima.
 
@@ -34,32 +30,22 @@ NAMES = sorted(ENGINES)
 @pytest.mark.parametrize("n", quick_first([2, 10], 1))
 def test_batched_engine_finds_the_optimum(name: str, n: int) -> None:
     p = problem(name, n)
-    needed = generations_to(p, ENGINES["batched"], begin(12, n))
+    needed = generations_to(p, minimise, begin(12, n))
     assert needed.isfinite().double().mean() >= p.share
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(("name", "n"), [("sphere", 2), ("active bounds", 2), ("sphere", 5)])
-def test_pycma_engine_finds_the_optimum(name: str, n: int) -> None:
-    p = problem(name, n)
-    state = ENGINES["cma"](p.objective, begin(4, n), generations=150, seed=1)
-    assert (state.best_value < p.target).all()
-
-
 def test_one_dimension() -> None:
-    state = ENGINES["batched"](sphere, begin(5, 1), generations=60, seed=0)
+    state = minimise(sphere, begin(5, 1), generations=60, seed=0)
     torch.testing.assert_close(
         state.best, torch.full((5, 1), 0.4, dtype=torch.float64), atol=1e-6, rtol=0
     )
-    with pytest.raises(TorchidError, match="one dimension"):
-        ENGINES["cma"](sphere, begin(5, 1), generations=1, seed=0)
 
 
 def test_covariance_becomes_the_inverse_hessian() -> None:
     n = 6
     q, _ = torch.linalg.qr(torch.randn(n, n, dtype=torch.float64))
     hessian = q @ torch.diag(10.0 ** torch.linspace(0, 4, n, dtype=torch.float64)) @ q.mT
-    state = ENGINES["batched"](
+    state = minimise(
         lambda x: torch.einsum("rli,ij,rlj->rl", x - 0.5, hessian, x - 0.5),
         begin(8, n),
         generations=200,
@@ -70,23 +56,7 @@ def test_covariance_becomes_the_inverse_hessian() -> None:
     assert (values[:, -1] / values[:, 0]).median() < 15  # 1e4 before
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", PROBLEMS)
-@pytest.mark.parametrize("n", [2, 10])
-def test_no_slower_than_pycma(name: str, n: int) -> None:
-    """Median generations to the target, within a factor of 1.5."""
-    p = problem(name, n)
-    if p.share < 0.9:
-        pytest.skip("both end in local optima")
-    medians = {
-        kind: generations_to(p, ENGINES[kind], begin(21, n, seed=n)).median() for kind in NAMES
-    }
-    assert medians["batched"] <= 1.5 * medians["cma"]
-
-
 # Invariances, determinism, independence.
-
-ENGINE_CASES = pytest.mark.parametrize("kind", NAMES)
 
 
 @pytest.mark.parametrize(
@@ -98,17 +68,15 @@ def test_only_ranks_matter(transform) -> None:
     def ranks(x: Tensor) -> Tensor:
         return torch.floor(sphere(x) * 1024)
 
-    run = ENGINES["batched"]
-    a = run(ranks, begin(4, 5), generations=25, seed=3)
-    b = run(lambda x: transform(ranks(x)), begin(4, 5), generations=25, seed=3)
+    a = minimise(ranks, begin(4, 5), generations=25, seed=3)
+    b = minimise(lambda x: transform(ranks(x)), begin(4, 5), generations=25, seed=3)
     same(a, b, but=("best_value",))
     assert torch.equal(transform(a.best_value), b.best_value)
 
 
-@ENGINE_CASES
 @settings(max_examples=10)
 @given(runs=st.integers(1, 5), n=st.integers(2, 8), seed=st.integers(0, 2**40), data=st.data())
-def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) -> None:
+def test_contract(runs: int, n: int, seed: int, data: st.DataObject) -> None:
     """Samples in the box in one call a generation, the same twice, the best a running minimum."""
     population = data.draw(st.sampled_from([None, 4, 9]))
     centre = torch.tensor(
@@ -123,7 +91,7 @@ def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) 
 
     first = begin(runs, n, sigma=data.draw(st.sampled_from([1e-3, 0.3, 5.0])), seed=seed)
     arguments = {"generations": 6, "seed": seed, "population": population}
-    state = ENGINES[kind](objective, first, **arguments)
+    state = minimise(objective, first, **arguments)
     assert [tuple(x.shape) for x, _ in seen] == [(runs, 1, n)] + 6 * [
         (runs, population or default_population(n), n)
     ]
@@ -135,11 +103,10 @@ def test_contract(kind: str, runs: int, n: int, seed: int, data: st.DataObject) 
     for name, tensor in state.tensors().items():
         assert tensor.shape == first.tensors()[name].shape
         assert bool(torch.isfinite(tensor).all())
-    same(state, ENGINES[kind](objective, first, **arguments))
+    same(state, minimise(objective, first, **arguments))
 
 
-@ENGINE_CASES
-def test_runs_do_not_see_each_other(kind: str) -> None:
+def test_runs_do_not_see_each_other() -> None:
     def disturbed(x: Tensor) -> Tensor:
         values = sphere(x).clone()
         values[1] = float("nan")
@@ -147,8 +114,7 @@ def test_runs_do_not_see_each_other(kind: str) -> None:
         values[3] = 7.0
         return values
 
-    run = ENGINES[kind]
-    quiet, loud = (run(f, begin(6, 4), generations=40, seed=9) for f in (sphere, disturbed))
+    quiet, loud = (minimise(f, begin(6, 4), generations=40, seed=9) for f in (sphere, disturbed))
     for rows in (slice(0, 1), slice(4, 6)):
         same(quiet, loud, runs=rows)
     assert all(
@@ -157,14 +123,12 @@ def test_runs_do_not_see_each_other(kind: str) -> None:
     assert loud.best_value[1] == float("inf")
 
 
-@ENGINE_CASES
 def test_seeds_differ_and_the_world_is_left_alone(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     before, numpys = torch.get_rng_state(), np.random.get_state()[1].copy()
-    run = ENGINES[kind]
-    a, b = (run(sphere, begin(3, 4), generations=5, seed=seed) for seed in (1, 2))
+    a, b = (minimise(sphere, begin(3, 4), generations=5, seed=seed) for seed in (1, 2))
     assert not torch.equal(a.mean, b.mean)
     assert len({tuple(row) for row in a.mean.tolist()}) == 3
     assert torch.equal(before, torch.get_rng_state())
@@ -179,34 +143,31 @@ def test_seeds_differ_and_the_world_is_left_alone(
 @pytest.mark.parametrize("sigma", [0.3, 5.0])
 @pytest.mark.parametrize("split", [1, 2, 11])
 def test_two_calls_are_one(split: int, sigma: float) -> None:
-    run, first = ENGINES["batched"], begin(4, 6, sigma)
-    whole = run(sphere, first, generations=30, seed=5)
-    part = run(sphere, first, generations=split, seed=5)
-    same(whole, run(sphere, part, generations=30 - split, seed=5))
+    first = begin(4, 6, sigma)
+    whole = minimise(sphere, first, generations=30, seed=5)
+    part = minimise(sphere, first, generations=split, seed=5)
+    same(whole, minimise(sphere, part, generations=30 - split, seed=5))
 
 
-@ENGINE_CASES
-def test_no_generations_change_nothing(kind: str) -> None:
-    state = ENGINES[kind](sphere, begin(3, 4), generations=5, seed=0)
-    again = ENGINES[kind](sphere, state, generations=0, seed=0)
+def test_no_generations_change_nothing() -> None:
+    state = minimise(sphere, begin(3, 4), generations=5, seed=0)
+    again = minimise(sphere, state, generations=0, seed=0)
     assert torch.equal(again.best, state.best)
     assert torch.equal(again.best_value, state.best_value)
     torch.testing.assert_close(again.point, state.point, atol=1e-14, rtol=0)
 
 
 @pytest.mark.nightly
-@ENGINE_CASES
-def test_a_grown_penalty_is_met(kind: str) -> None:
+def test_a_grown_penalty_is_met() -> None:
     """The best of the first objective is judged by the second before the search goes on."""
-    run = ENGINES[kind]
-    state = run(sphere, begin(4, 3), generations=60, seed=0)
+    state = minimise(sphere, begin(4, 3), generations=60, seed=0)
 
     def penalised(x: Tensor) -> Tensor:
         return sphere(x) + 10 * (0.7 - x[..., 0]).clamp(min=0)
 
-    same_best = run(penalised, state, generations=0, seed=0)
+    same_best = minimise(penalised, state, generations=0, seed=0)
     assert torch.equal(same_best.best_value, penalised(state.best))
-    after = run(penalised, state, generations=250, seed=0)
+    after = minimise(penalised, state, generations=250, seed=0)
     torch.testing.assert_close(
         after.best[:, 0], torch.full((4,), 0.7, dtype=torch.float64), atol=1e-4, rtol=0
     )
@@ -226,12 +187,11 @@ def test_a_grown_penalty_is_met(kind: str) -> None:
     ],
 )
 def test_a_degenerate_covariance_is_repaired_alone(covariance: Tensor) -> None:
-    run = ENGINES["batched"]
     sound = begin(3, 4)
     broken = sound.covariance.clone()
     broken[1] = covariance
-    got = run(sphere, replace(sound, covariance=broken), generations=150, seed=0)
-    reference = run(sphere, sound, generations=150, seed=0)
+    got = minimise(sphere, replace(sound, covariance=broken), generations=150, seed=0)
+    reference = minimise(sphere, sound, generations=150, seed=0)
     for rows in (slice(0, 1), slice(2, 3)):
         same(got, reference, runs=rows)
     assert all(bool(torch.isfinite(a).all()) for a in got.tensors().values())
@@ -239,17 +199,16 @@ def test_a_degenerate_covariance_is_repaired_alone(covariance: Tensor) -> None:
         assert torch.linalg.eigvalsh(got.covariance)[1, 0] > 0
 
 
-@ENGINE_CASES
-def test_a_collapsed_step_stays_alive(kind: str) -> None:
+def test_a_collapsed_step_stays_alive() -> None:
     small = torch.tensor([0.0, 1e-300, 0.3], dtype=torch.float64)
     first = replace(begin(3, 4), sigma=small)
-    state = ENGINES[kind](sphere, first, generations=30, seed=0)
+    state = minimise(sphere, first, generations=30, seed=0)
     assert all(bool(torch.isfinite(a).all()) for a in state.tensors().values())
     assert (state.sigma > 1e-13).all()
 
 
 def test_far_beyond_convergence() -> None:
-    state = ENGINES["batched"](sphere, begin(4, 3), generations=500, seed=0)
+    state = minimise(sphere, begin(4, 3), generations=500, seed=0)
     assert all(bool(torch.isfinite(a).all()) for a in state.tensors().values())
     torch.testing.assert_close(
         state.best, torch.full((4, 3), 0.4, dtype=torch.float64), atol=1e-7, rtol=0
@@ -257,7 +216,7 @@ def test_far_beyond_convergence() -> None:
 
 
 def test_nothing_to_find_does_not_run_away() -> None:
-    state = ENGINES["batched"](
+    state = minimise(
         lambda x: torch.zeros(x.shape[:-1], dtype=torch.float64),
         begin(6, 5),
         generations=300,

@@ -1,7 +1,6 @@
 """Algorithm 1 as a whole, on budgets of a second."""
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -68,28 +67,7 @@ def test_unknown_names_are_refused(name: str, known: str) -> None:
     assert known in (caught.value.available or [])
 
 
-@pytest.mark.parametrize(("name", "value"), [("population", 1), ("population", 0), ("seed", -1)])
-def test_numbers_that_no_search_can_use_are_refused(name: str, value: int) -> None:
-    with pytest.raises(TorchidError, match=name):
-        extract(problem_of("3r"), with_settings(**{name: value}))
-
-
 # ---- what comes out -------------------------------------------------------------------------
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("name", "limit"), [("3r", 1e-18), ("kuka_lwr4", 1.02 * 1.032e-4)])
-def test_full_loss(name: str, limit: float) -> None:
-    """Every run is feasible and at the least loss that there is; the search alone was not."""
-    p = problem_of(name)
-    found = extract(p, SMALL)
-    assert float(found.phi.max()) < limit
-    assert float(found.gamma.max()) == 0.0
-    assert bool((found.history_phi[:, -1] > found.phi).all())
-    assert bool(feasibility(found.sets, p.conditions).feasible.all())
-    assert found.sets.ids == ("run_1", "run_2", "run_3", "run_4")
-    assert found.contradictions == ()
-    assert found.seconds > 0
 
 
 def assert_consistent(p: Problem, found: Extraction, settings: SearchSettings) -> None:
@@ -165,15 +143,6 @@ def test_search_alone_descends(changes: dict[str, object]) -> None:
     assert_descends(found)
 
 
-@pytest.mark.nightly
-def test_seeds() -> None:
-    p = problem_of("3r")
-    found = extract(p, SMALL)
-    assert_same(found, extract(p, SMALL))
-    other = extract(p, with_settings(seed=2))
-    assert not torch.equal(other.history_phi, found.history_phi)
-
-
 def test_global_random_state_is_neither_read_nor_changed() -> None:
     p = problem_of("3r")
     torch.manual_seed(5)
@@ -188,16 +157,6 @@ def test_global_random_state_is_neither_read_nor_changed() -> None:
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three runs of the 3R and more."""
     monkeypatch.setattr(room, "BLOCK", 3 * 30 * default_population(30))
-
-
-@pytest.mark.nightly
-@pytest.mark.usefixtures("small_blocks")
-def test_the_bits_do_not_depend_on_the_workers() -> None:
-    p, settings = problem_of("3r"), with_settings(runs=10, stages=3)
-    assert len(room._blocks(p, settings, "cpu")) == 3
-    found = extract(p, settings)
-    with ThreadPoolExecutor(3) as threads:
-        assert_same(extract(p, settings, workers=threads), found)
 
 
 @pytest.mark.nightly
@@ -217,16 +176,6 @@ def test_blocks_search_elsewhere() -> None:
     assert not torch.equal(many.sets.vector[4:], many.sets.vector[:4])
 
 
-def test_the_searches_of_the_studies_are_one_block() -> None:
-    for name in ("3r", "kuka_lwr4_friction"):
-        assert room._blocks(problem_of(name), SearchSettings(runs=50), "cpu") == [slice(0, 50)]
-    p, settings = problem_of("kuka_lwr4"), SearchSettings(runs=500)
-    blocks = room._blocks(p, settings, "cpu")
-    assert [b.start for b in blocks[1:]] == [b.stop for b in blocks[:-1]]
-    assert (len(blocks), blocks[-1].stop) == (4, 500)
-    assert len(room._blocks(p, settings, "cuda")) == 1
-
-
 def test_progress_is_reported() -> None:
     seen: list[tuple[int, int]] = []
     extract(problem_of("3r"), SMALL, report=lambda done, of: seen.append((done, of)))
@@ -240,11 +189,6 @@ def test_on_a_device(device: torch.device) -> None:
 
 
 # ---- what cannot be --------------------------------------------------------------------------
-
-
-def test_possible_problems_pass() -> None:
-    for name in ("3r", "kuka_lwr4"):
-        require_possible(problem_of(name))
 
 
 def test_impossible_problems_are_named_before_the_search() -> None:

@@ -11,7 +11,7 @@ from tests.extraction.setups import BUILT_IN, base_of, problem_of, random_vector
 from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import regressor
 from torchid.effects.base import Motion
-from torchid.errors import RobotError, TorchidError
+from torchid.errors import TorchidError
 from torchid.excitation.synthetic import HonestNoise, synthetic_log
 from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.extraction.problem import (
@@ -93,13 +93,6 @@ def test_sets_and_search_vectors_are_two_forms_of_one(name: str) -> None:
     torch.testing.assert_close(sets.search_vector, q, rtol=1e-9, atol=1e-12)
     torch.testing.assert_close(sets.vector, p.vector(q), rtol=1e-13, atol=1e-15)
     torch.testing.assert_close(sets.parameters.com, p.split(q)[1], rtol=1e-12, atol=1e-14)
-
-
-def test_any_batch_shape() -> None:
-    p = problem_of("3r")
-    q = random_vectors(p, 12).reshape(3, 4, p.size)
-    assert p.phi(q).shape == (3, 4)
-    torch.testing.assert_close(p.phi(q)[2, 1], p.phi(q[2, 1]), rtol=1e-12, atol=0)
 
 
 # ---- the one-step loss ----------------------------------------------------------------------
@@ -225,21 +218,6 @@ def test_base_parameters_of_another_robot_are_refused() -> None:
         extraction_problem(robot, other, read_bounds(robot, "normal"), conditions(robot))
     assert "70" in str(caught.value)
     assert "30" in str(caught.value)
-
-
-def test_base_parameters_without_the_effects_are_refused() -> None:
-    target = problem_of("3r_friction").target
-    robot = arm("3r_friction")
-    without = replace(target, effects=())
-    with pytest.raises(TorchidError, match="do not belong"):
-        extraction_problem(robot, without, read_bounds(robot, "normal"), conditions(robot))
-
-
-def test_effects_without_bounds_are_refused() -> None:
-    bounds = read_bounds(arm("3r"), "normal")
-    robot = arm("3r_friction")
-    with pytest.raises(RobotError, match="Fv of viscous_friction"):
-        extraction_problem(robot, problem_of("3r_friction").target, bounds, conditions(robot))
 
 
 @pytest.mark.usefixtures("types_unchecked")

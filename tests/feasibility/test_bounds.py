@@ -76,14 +76,6 @@ def test_coefficients_are_bounded_joint_by_joint() -> None:
     assert "friction_coulomb" in str(caught.value)
 
 
-def test_friction_without_bounds_is_refused() -> None:
-    bounds = read_bounds(load_robot("3r"), "normal")
-    assert bounds.coefficients == {}
-    with pytest.raises(RobotError, match="Fv of viscous_friction") as caught:
-        bounds.box([ViscousFriction(0)])
-    assert "friction_viscous" in str(caught.value)
-
-
 @pytest.mark.parametrize("group", ["loos", "geometry", "total_mass", ""])
 def test_unknown_group_is_refused(group: str) -> None:
     with pytest.raises(RobotError, match="no bounds") as caught:
@@ -105,26 +97,12 @@ BAD = {
     ),
     "equal mass": ({(NORMAL, "upper", "mass", 2): 0.0}, "mass of link 3: the bounds are equal"),
     "crossed com": ({(NORMAL, "lower", "com", 0, 2): 0.3}, "com of link 1: the bounds are crossed"),
-    "equal inertia": (
-        {(NORMAL, "lower", "inertia", 1, 5): 0.5},
-        "inertia of link 2: the bounds are equal",
-    ),
     "no mass": ({(NORMAL, "lower", "mass"): ...}, "`lower` has no 'mass'"),
-    "no com": ({(NORMAL, "upper", "com"): ...}, "`upper` has no 'com'"),
-    "no inertia": ({(NORMAL, "upper", "inertia"): ...}, "`upper` has no 'inertia'"),
     "no lower": ({(NORMAL, "lower"): ...}, "must have `lower` and `upper`"),
-    "lower null": ({(NORMAL, "lower"): None}, "must have `lower` and `upper`"),
-    "upper a number": ({(NORMAL, "upper"): 3.0}, "must have `lower` and `upper`"),
-    "upper a list": ({(NORMAL, "upper"): [1.0]}, "must have `lower` and `upper`"),
     "a number": ({(NORMAL,): 1.0}, "must have `lower` and `upper`"),
     "wrong size": ({(NORMAL, "lower", "mass"): [0.0, 0.0]}, "wrong size"),
-    "com of two": ({(NORMAL, "upper", "com"): [[1.0, 1.0]] * 3}, "wrong size"),
     "ragged": ({(NORMAL, "upper", "com", 1): [1.0]}, "not numbers"),
-    "words": ({(NORMAL, "upper", "mass", 1): "heavy"}, "not numbers"),
-    "null": ({(NORMAL, "upper", "mass", 1): None}, "not numbers"),
-    "huge": ({(NORMAL, "upper", "mass", 1): 10**400}, "not numbers"),
     "nan": ({(NORMAL, "upper", "mass", 1): NAN}, "not all finite"),
-    "infinite": ({(NORMAL, "upper", "mass", 1): INF}, "not all finite"),
     "friction on one side": (
         {(NORMAL, "lower", "friction_viscous"): [0.0] * 3},
         "`upper` has no 'friction_viscous'",

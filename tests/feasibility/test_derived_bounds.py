@@ -170,11 +170,6 @@ def test_a_percentage_is_positive(percent):
         derive_bounds(load_robot("3r"), com_margin=percent)
 
 
-def test_a_robot_without_parameters_is_one_clear_error():
-    with pytest.raises(RobotError, match="no inertial parameters, which deriving bounds needs"):
-        derive_bounds(load_robot("panda"))
-
-
 def test_a_massless_link_is_named():
     robot = load_robot("3r")
     pi = consistent_parameters(3, 0).pi

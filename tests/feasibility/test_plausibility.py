@@ -89,18 +89,6 @@ def test_a_uniform_ellipsoid_is_found_back(semi_axes, density):
     assert float(own.gyration) == pytest.approx(float(gyration))
 
 
-def test_a_shells_density_is_off_by_what_the_module_says():
-    # 2/3 m r^2 of a hollow ball of mass 1 and radius 1.
-    shell = InertialParameters.from_com(
-        torch.ones(1, 1, dtype=torch.float64),
-        torch.zeros(1, 1, 3, dtype=torch.float64),
-        2 / 3 * torch.tensor([[[1.0, 0, 0, 1, 0, 1]]], dtype=torch.float64),
-    )
-    volume = 1 / float(bodies(shell).density)
-    assert volume / (4 / 3 * math.pi) == pytest.approx((5 / 3) ** 1.5)
-    assert (5 / 3) ** 1.5 < 2.2
-
-
 @pytest.mark.parametrize(("density", "limit"), [(30.0, 100.0), (20000.0, 12000.0)])
 def test_density(density, limit):
     found = findings(uniform_boxes(density), shapes=shapes_of(BOXES))

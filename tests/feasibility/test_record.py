@@ -58,16 +58,6 @@ def test_margins_are_named_as_the_reasons_and_negative_there():
     assert "shape_1" not in entry["margins"]
 
 
-def test_the_3r_is_feasible():
-    data = nominal_record("3r")
-    (entry,) = data["sets"]
-    assert entry["feasible"]
-    assert entry["reasons"] == []
-    assert entry["degree"] > 0
-    assert entry["total_mass"] == pytest.approx(5.5)
-    assert data["conditions"]["geometry"] == "bounds 'normal'"
-
-
 @pytest.mark.parametrize("name", ["3r", "3r_friction", "kuka_lwr4", "kuka_lwr4_friction"])
 def test_every_number_is_finite_or_null(name):
     json.dumps(nominal_record(name, geometry="none"), allow_nan=False)
@@ -99,14 +89,20 @@ def test_geometry_is_the_group_asked_for():
         check_sets(robot, nominal_set(robot), geometry="huge")
 
 
-def test_shapes_of_a_urdf_are_the_geometry(tmp_path):
-    path = tmp_path / "r.urdf"
-    inside = BOX.replace("<mass", "<origin xyz='0.15 0 0'/><mass")
+def two_links(folder, second):
+    """A URDF of a box and another link."""
+    path = folder / "r.urdf"
     path.write_text(
-        f"<robot name='r'><link name='base'/><link name='a'>{BOX}</link><link name='b'>{inside}"
+        f"<robot name='r'><link name='base'/><link name='a'>{BOX}</link><link name='b'>{second}"
         "</link><joint name='j' type='revolute'><parent link='base'/><child link='a'/></joint>"
         "<joint name='k' type='revolute'><parent link='a'/><child link='b'/></joint></robot>"
     )
+    return path
+
+
+def test_shapes_of_a_urdf_are_the_geometry(tmp_path):
+    inside = BOX.replace("<mass", "<origin xyz='0.15 0 0'/><mass")
+    path = two_links(tmp_path, inside)
     data = nominal_record(path)
     (entry,) = data["sets"]
     assert data["conditions"]["geometry"] == "shapes (collision)"
@@ -118,13 +114,8 @@ def test_shapes_of_a_urdf_are_the_geometry(tmp_path):
 
 
 def test_unknown_shapes_are_no_condition(tmp_path):
-    path = tmp_path / "r.urdf"
     mesh = BOX.replace("<box size='0.2 0.2 0.2'/>", "<mesh filename='none.stl'/>")
-    path.write_text(
-        f"<robot name='r'><link name='base'/><link name='a'>{BOX}</link><link name='b'>{mesh}"
-        "</link><joint name='j' type='revolute'><parent link='base'/><child link='a'/></joint>"
-        "<joint name='k' type='revolute'><parent link='a'/><child link='b'/></joint></robot>"
-    )
+    path = two_links(tmp_path, mesh)
     data = nominal_record(path)
     assert data["conditions"]["geometry"] == "shapes (collision), unknown for links 2"
     assert data["conditions"]["com_box"][1] == [[None, None]] * 3

@@ -126,20 +126,13 @@ def test_a_massless_link_keeps_its_first_moment(tmp_path: Path) -> None:
 
 
 BAD_FILES = {
-    "empty": ("", "not JSON"),
-    "not json": ("mass: [1, 2]", "not JSON"),
     "half written": (json.dumps({"sets": [entry()]})[:-20], "not JSON"),
-    "a list": ([entry()], "Expected `object`"),
-    "null": (None, "Expected `object`"),
-    "another file": ({"parameters": []}, "missing required field `sets`"),
     "no sets": ({"sets": []}, "holds no parameter sets"),
-    "sets by name": ({"sets": {"a": entry()}}, r"Expected `array`.*\$\.sets"),
     "duplicate id": ({"sets": [entry(), entry()]}, "same id"),
     "id of an unnamed one": ({"sets": [entry(id="2"), entry(id=...)]}, "same id"),
     "other effects": ({"sets": [entry(), entry(id="b", effects=[])]}, "same effects"),
 }
 BAD_SETS = {
-    "a number": (3, r"Expected `object`.*\$\.sets\[0\]"),
     "no mass": (entry(mass=...), "field `mass`"),
     "no place": (entry(com=...), "needs one of com and first_moment"),
     "two places": (entry(first_moment=[[0, 0, 0]] * 3), "needs one of com and first_moment"),
@@ -147,34 +140,16 @@ BAD_SETS = {
     "too few links": (entry(mass=[1.0, 2.0]), r"com`"),
     "too many links": (entry(com=[[0, 0, 0]] * 7), r"com`"),
     "inertia of nine": (entry(inertia_about_com=[[1.0] * 9] * 3), r"n 6 numbers, got \(3, 9\)"),
-    "mass of a scalar": (entry(mass=1.0), r"got `float`.*\$\.sets\[0\]\.mass"),
     "ragged": (entry(com=[[0, 0, 0], [0, 0], [0, 0, 0]]), r"\$\.sets\[0\]\.com"),
-    "words": (entry(mass=["1", "2", "3"]), r"entry \[0\].*\$\.sets\[0\]\.mass"),
-    "word": (entry(mass="heavy"), "Expected `array`"),
     "null inside": (entry(mass=[1.0, None, 2.0]), "`mass` is not all finite"),
-    "a mapping": (entry(mass={"1": 2.0}), "Expected `array`"),
-    "too large for a float": (entry(mass=[1.0, 10**400, 1.0]), "out of range"),
-    "nan": (entry(mass=[1.0, float("nan"), 2.0]), "not JSON"),
-    "infinite": (entry(com=[[0, 0, float("inf")]] * 3), "not JSON"),
-    "effects by name": (entry(effects={"Fv": 1.0}), r"\$\.sets\[0\]\.effects"),
     "effect without name": (entry(effects=[{"joint": 1, "Fv": 1.0}]), "needs the key 'effect'"),
-    "effect of a word": (entry(effects=["viscous_friction"]), r"\$\.sets\[0\]\.effects\[0\]"),
     "unknown effect": (entry(effects=[{"effect": "glue", "joint": 1}]), "unknown effect 'glue'"),
-    "effect on no joint": (entry(effects=[{"effect": "viscous_friction", "Fv": 1}]), "joint"),
     "effect on joint 0": (
         entry(effects=[{"effect": "viscous_friction", "joint": 0, "Fv": 1}]),
         "a joint that does not exist",
     ),
-    "effect on joint 4": (
-        entry(effects=[{"effect": "viscous_friction", "joint": 4, "Fv": 1}]),
-        "a joint that does not exist",
-    ),
     "effect without coefficient": (
         entry(effects=[{"effect": "viscous_friction", "joint": 1}]),
-        "a number 'Fv'",
-    ),
-    "coefficient nan": (
-        entry(effects=[{"effect": "viscous_friction", "joint": 1, "Fv": None}]),
         "a number 'Fv'",
     ),
     "effect twice": (
@@ -199,13 +174,3 @@ def test_bad_sets_are_refused(case: str, tmp_path: Path) -> None:
     path = written(tmp_path / "sets.json", {"sets": [content]})
     with pytest.raises(TorchidError, match=said):
         read_sets(path, load_robot("3r"))
-
-
-def test_unreadable_files_are_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.json", tmp_path):
-        with pytest.raises(TorchidError, match="cannot be read"):
-            read_sets(path, load_robot("3r"))
-    binary = tmp_path / "binary.json"
-    binary.write_bytes(b"\x80\x81\xff\x00")
-    with pytest.raises(TorchidError, match="not JSON"):
-        read_sets(binary, load_robot("3r"))

@@ -121,13 +121,6 @@ def test_a_calibration_of_a_millimetre_is_the_same_arm(tmp_path):
     assert bool(estimates(results)[2].isfinite().all())
 
 
-def test_other_arms_are_refused(tmp_path):
-    a = identification(tmp_path / "a.json", 0)
-    b = identification(tmp_path / "b.json", 1, robot=load_robot("kuka_lwr4_friction"))
-    with pytest.raises(TorchidError, match="numbers of joints"):
-        common_basis(read([a, b]))
-
-
 @pytest.mark.slow
 def test_robots_with_rounded_angles_can_be_compared(tmp_path):
     """1.5708 for pi / 2, as URDFs have it: columns that are dependent to 1e-6 lean on ones further

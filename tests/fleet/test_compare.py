@@ -146,8 +146,3 @@ def test_a_log_is_what_torque_is_compared_on(runs: list[Identification]) -> None
     assert found.torque.errors is not None
     assert bool((found.torque.spread < 0.1 * found.torque.size).all())
     assert torch.isfinite(found.torque.size).all()
-
-
-def test_one_result_is_no_comparison(runs: list[Identification]) -> None:
-    with pytest.raises(TorchidError, match="two results or more"):
-        compare_results(runs[:1])

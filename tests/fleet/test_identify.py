@@ -231,15 +231,3 @@ def test_effects_that_need_a_search_are_refused() -> None:
     model = FleetModel(load_robot("3r"), FleetSettings(effects=("stribeck_friction",)))
     with pytest.raises(TorchidError, match="known before a search"):
         _ = model.layout
-
-
-@pytest.mark.nightly
-def test_a_cluster_of_two_gives_the_same_bits(found, model, logs, tmp_path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
-        other = fleet_identify(
-            model, logs, store=Store(str(tmp_path)), workers=cluster.scheduler_address
-        )
-    assert json.dumps(other.plain()) == json.dumps(found.plain())

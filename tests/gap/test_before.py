@@ -180,8 +180,9 @@ def friday_alone(robot: str) -> TorqueDiagnosis:
     return found
 
 
-@pytest.mark.parametrize("odd", ODD)
-@pytest.mark.parametrize("robot", ["a model", "no model"])
+@pytest.mark.parametrize(
+    ("odd", "robot"), [*((odd, "a model") for odd in ODD), ("permille", "no model")]
+)
 def test_an_earlier_log_of_another_torque_is_left_out_and_that_is_said_first(odd, robot) -> None:
     before = ODD[odd](log_of(arm(LACKED), MONDAY))
     simulator = ROBOT if robot == "a model" else NO_MODEL

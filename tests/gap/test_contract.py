@@ -20,7 +20,9 @@ from torchid.robot.model import Robot
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 
-STATUSES = ("no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable")
+STATUSES = (
+    "no_gap", "negligible", "parametric_only", "explained", "detected_unexplained", "not_testable",
+)  # fmt: skip
 CLOSES = ("explained", "parametric_only")
 BODY = ("m", "mx", "my", "mz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
@@ -53,6 +55,10 @@ def _status(record: dict[str, Any]) -> Iterator[str]:
     if status not in STATUSES:
         yield f"status '{status}' is none of {STATUSES}"
     accepted = bool(record["answer"]["causes"])
+    names = {(e["effect"], *e["joints"]) for e in record["which"]}
+    for small in record["answer"]["small"]:
+        if (small["effect"], *small["joints"]) in names:
+            yield f"{small['effect']} is named, and called small"
     if status == "no_gap" and accepted:
         yield "no_gap, and something is accepted"
     if status in CLOSES and not accepted:
@@ -112,6 +118,12 @@ def _how_far(record: dict[str, Any], n: int) -> Iterator[str]:
             yield f"closed is {closed:.4f}, more than all"
     if [e["joint"] for e in far["per_joint"]] != list(range(1, n + 1)):
         yield "per_joint is not of joints 1..n"
+    # One gap and one noise a joint, wherever they stand.
+    for place, own in zip(record["where"]["joints"], far["per_joint"], strict=True):
+        if abs(place["gap_rms"] - own["before"]) > 1e-6 * own["before"]:
+            yield f"joint {place['joint']}: gap {place['gap_rms']:.3g} and {own['before']:.3g}"
+        if place["noise_floor_rms"] != own["noise_floor_rms"]:
+            yield f"joint {place['joint']}: two noises"
     low, high = far["noise_floor_rms"]
     if not 0 <= low <= (low if high is None else high):
         yield f"the noise floor is {low}..{high}"
@@ -225,7 +237,11 @@ def test_diagnoses_keep_the_contract(name) -> None:
 
 SOUND: dict[str, Any] = {
     "status": "explained",
-    "where": {"joints": [{"joint": 1}, {"joint": 2}]},
+    "where": {
+        "joints": [
+            {"joint": j, "gap_rms": 1.0, "noise_floor_rms": [0.1, 0.2]} for j in (1, 2)
+        ]
+    },
     "which": [
         {"effect": "coulomb_friction", "family": "sign", "joints": [2], "ambiguous_with": [],
          "parameters": {"Fc": -0.3, "smoothing": 0.0}, "std": {"Fc": 0.01}, "how_sure": 0.99,
@@ -241,11 +257,16 @@ SOUND: dict[str, Any] = {
     "budget": {"parametric": 0.1, "structural": 0.8, "unexplained": 0.1},
     "how_far": {"closed": 0.9, "closed_ci95": [0.85, 0.95], "noise_floor_rms": [0.1, 0.2],
                 "rms_before": 2.0, "rms_after": 0.4,
-                "per_joint": [{"joint": 1}, {"joint": 2}]},
+                "per_joint": [{"joint": j, "before": 1.0, "noise_floor_rms": [0.1, 0.2]}
+                              for j in (1, 2)]},
     "settings": {},
     "corrected": {"effects": [{"effect": "coulomb_friction", "joint": 2, "Fc": 0.5}]},
 }  # fmt: skip
-SOUND["answer"] = {"causes": SOUND["which"], "suspects": [{"share": 0.05}, {"share": None}]}
+SOUND["answer"] = {
+    "causes": SOUND["which"],
+    "small": [],
+    "suspects": [{"share": 0.05}, {"share": None}],
+}
 """As much of a record as the contract speaks of."""
 
 
@@ -276,6 +297,9 @@ def test_a_sound_record_keeps_it() -> None:
         (_set("how_far", "closed", 0.5), "lies outside"),
         (_set("how_far", "closed_ci95", None), "without an interval"),
         (_set("how_far", "per_joint", 0, "joint", 0), "not of joints 1..n"),
+        (_set("how_far", "per_joint", 0, "before", 1.1), "joint 1: gap 1 and 1.1"),
+        (_set("where", "joints", 1, "noise_floor_rms", [0.1, 0.3]), "joint 2: two noises"),
+        (_set("answer", "small", [{"effect": "payload", "joints": [2]}]), "called small"),
         (_set("budget", "structural", 0.5), "sums to 0.7"),
         (_set("budget", "structural", None), "no numbers"),
         (_set("budget", {"parametric": 0, "structural": 0, "unexplained": 0}), "all zero"),

@@ -58,16 +58,6 @@ def test_rates_that_differ_by_less_and_more_than_one_percent_become_one():
     assert len(data.segments) == 3
 
 
-def test_another_robot_is_refused():
-    with pytest.raises(LogError, match="2"):
-        prepare(ROBOT, log().replace(q=log().q[:, :2], tau=log().tau[:, :2]), None)
-
-
-def test_no_torque_is_refused():
-    with pytest.raises(LogError, match="torque"):
-        prepare(ROBOT, log().replace(tau=None), None)
-
-
 def test_too_short_is_refused():
     with pytest.raises(LogError, match="too short") as found:
         prepare(ROBOT, log(duration=8.0).select(slice(0, 200)), None)

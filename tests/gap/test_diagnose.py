@@ -3,11 +3,9 @@
 Four runs of 8 s, of which the last repeats the first; every diagnosis is made once.
 """
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import msgspec
 import pytest
@@ -22,9 +20,8 @@ from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.settings import GapSettings
-from torchid.gap.torque import STAGES, diagnose_torque
+from torchid.gap.torque import diagnose_torque
 from torchid.log.model import Log
-from torchid.parallel.pace import Pace
 from torchid.report.brief import model_words
 from torchid.results.answer import Answer
 from torchid.results.cause import JudgedOn
@@ -192,11 +189,6 @@ def test_all_of_the_gap_but_the_noise_is_closed():
     assert [t.name for t in found.traces] == [f"run{k}" for k in RUNS]
 
 
-def test_the_largest_regime_is_on_the_joint_with_friction():
-    clear = [r for r in case("coulomb").regimes if r.p < 0.05]
-    assert all(r.joint == 1 for r in clear)
-
-
 @pytest.mark.slow
 def test_the_corrected_model_has_no_gap():
     corrected = case("coulomb").corrected
@@ -233,14 +225,6 @@ def test_wrong_parameters_are_no_effects():
     assert found.budget.parametric > 0.9
     assert found.how_far.closed > 0.9
     assert nominal_effects(found.corrected) == []
-
-
-@pytest.mark.nightly
-def test_corrected_parameters_have_no_gap():
-    """They may differ from the arm's; what they predict does not."""
-    found = case("parameters")
-    again = diagnose_torque(found.corrected, logged(ROBOT), settings=QUICK)
-    assert again.status == "no_gap"
 
 
 @pytest.mark.slow
@@ -308,7 +292,7 @@ HELD_OUT: dict[str, Callable[[Log], Log]] = {
 }
 
 
-@pytest.mark.parametrize("change", quick_first(HELD_OUT, 2))
+@pytest.mark.parametrize("change", quick_first(HELD_OUT, 1))
 def test_held_out_data_choose_nothing(change):
     """Names, probabilities, sizes, shares and the model have the same bits as without them."""
     log, apart = logged(REAL, (0, 1, 0)), logged(REAL, (5,), 7)
@@ -360,36 +344,6 @@ def test_a_log_held_out_twice_is_refused():
         )  # fmt: skip
 
 
-@pytest.mark.nightly
-def test_a_held_out_log_of_another_rate_is_resampled():
-    slow = logged(ROBOT, (5,)).select(torch.arange(1001) % 2 == 0)
-    found = diagnose_torque(ROBOT, logged(ROBOT), held_out=slow, settings=QUICK)
-    assert found.status == "no_gap"
-    assert any("resampled to" in w for w in found.warnings)
-
-
-@pytest.mark.slow
-def test_progress_is_told_to_the_end():
-    told: list[tuple[str, int, int]] = []
-    diagnose_torque(
-        ROBOT,
-        logged(ROBOT, (0,)),
-        settings=replace(QUICK, effects=("coulomb_friction",)),
-        pace=Pace(lambda stage, done, total: told.append((stage, done, total)), STAGES),
-    )
-    assert told[-1] == ("done", 100, 100)
-    percents = [done for _, done, _ in told]
-    assert percents == sorted(percents)
-    assert all(total == 100 for *_, total in told)
-    assert len({stage for stage, _, _ in told}) > 3
-
-
-@pytest.mark.nightly
-def test_nothing_is_left_to_chance():
-    again = diagnose_torque(ROBOT, logged(REAL), settings=QUICK)
-    assert json.dumps(again.plain()) == json.dumps(case("coulomb").plain())
-
-
 @pytest.mark.slow
 def test_a_joint_that_never_moves_is_no_reason_to_stop():
     still = torch.tensor([0.0, 1.0, 1.0], dtype=torch.float64)
@@ -401,55 +355,6 @@ def test_a_joint_that_never_moves_is_no_reason_to_stop():
     found = diagnose_torque(ROBOT, log, settings=QUICK)
     assert any("joint 1 never moves" in w for w in found.warnings)
     assert [(f.effect, f.joints) for f in found.which] == [("coulomb_friction", (1,))]
-
-
-KEYS = {
-    "": {"schema", "status", "where", "which", "how_far", "budget", "not_testable",
-         "next_experiment"},
-    "where": {"joints", "regimes"},
-    "joint": {"joint", "gap_rms", "noise_floor_rms", "share"},
-    "regime": {"joint", "regime", "excess", "p"},
-    "which": {"effect", "family", "joints", "ambiguous_with", "parameters", "std",
-              "file", "how_sure", "share"},
-    "how_far": {"rms_before", "rms_after", "noise_floor_rms", "closed", "closed_ci95",
-                "per_joint"},
-    "per_joint": {"joint", "before", "after"},
-    "budget": {"parametric", "structural", "unexplained"},
-    "not_testable": {"effect", "joint", "smallest_detectable"},
-}  # fmt: skip
-"""The contract's keys: there may be more."""
-
-STATUSES = {"no_gap", "parametric_only", "explained", "detected_unexplained", "not_testable"}
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", marked(*CASES))
-def test_records_keep_the_contract(name):
-    written = json.loads(json.dumps(case(name).plain(), allow_nan=False))
-    assert written["schema"] == "torchid.gap/2"
-    assert written["status"] in STATUSES
-    assert set(written) >= KEYS[""]
-    assert set(written["where"]) == KEYS["where"]
-    parts: list[tuple[str, list[dict[str, Any]]]] = [
-        ("joint", written["where"]["joints"]),
-        ("regime", written["where"]["regimes"]),
-        ("which", written["which"]),
-        ("how_far", [written["how_far"]]),
-        ("per_joint", written["how_far"]["per_joint"]),
-        ("budget", [written["budget"]]),
-        ("not_testable", written["not_testable"]),
-    ]
-    for kind, entries in parts:
-        for entry in entries:
-            assert set(entry) >= KEYS[kind], kind
-    assert [entry["joint"] for entry in written["where"]["joints"]] == [1, 2, 3]
-    assert [entry["joint"] for entry in written["how_far"]["per_joint"]] == [1, 2, 3]
-    assert all(1 <= j <= 3 for entry in written["which"] for j in entry["joints"])
-    assert all(FAMILIES[e["effect"]] == e["family"] for e in written["which"])
-    low, high = written["how_far"]["noise_floor_rms"]
-    assert low > 0
-    assert high is None or low <= high
-    assert written["next_experiment"] is None or "do" in written["next_experiment"]
 
 
 def test_an_answer_stands_before_the_search_is_over():

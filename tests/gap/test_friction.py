@@ -117,18 +117,6 @@ def test_a_detail_of_the_model_stays_beside_one_that_changed():
     assert details["viscous"] is None
 
 
-def test_it_is_read_back_and_is_a_table(tmp_path):
-    diagnosis = found()
-    diagnosis.save(tmp_path / "gap.json")
-    record = torchid.load(tmp_path / "gap.json")
-    assert record.plain()["friction"] == diagnosis.plain()["friction"]
-    assert record.friction[0].joint == 0
-    assert "curve" not in record.plain()["answer"]["friction"][0]
-    frame = diagnosis.record.friction.to_frame()
-    assert list(frame["joint"]) == [1]
-    assert list(diagnosis.answer.friction.to_frame()["joint"]) == [1]
-
-
 @pytest.mark.parametrize("explained", some([False, True], slow=1, quick=1))
 def test_a_model_that_explains_nothing_is_in_doubt_until_the_answer_says_why(explained):
     """Ten times the friction is another torque than this arm's, as of a log of another one."""

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 import torchid
-from tests.gap.contradictions import contradictions
 from tests.gap.small_logs import ROBOT, Recording, arm, carrying, friction, logged
+from tests.gap.test_contract import holds
 from tests.marks import some
 from torchid.effects.registry import KINDS
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -203,15 +203,14 @@ def test_every_answer_is_written_read_run_again_and_agrees_with_itself(
     log = log_of(true, FIRST)
     wanted = replace(settings(), effects=(*SEARCHED, "load_dependent_friction"))
     found = torchid.diagnose(given, log, settings=wanted)
-    check = contradictions
-    assert check(found.plain()) == []
+    assert holds(found.plain()) == []
     found.save(tmp_path / "gap.json")
     again = torchid.load(tmp_path / "gap.json")
     assert again.corrected.n == 3
     torchid.write_robot(found.corrected, tmp_path / "corrected.yaml")
     corrected = torchid.load_robot(tmp_path / "corrected.yaml")
     second = torchid.diagnose(corrected, log_of(true, SECOND), settings=wanted)
-    assert check(second.plain()) == []
+    assert holds(second.plain()) == []
     assert second.which == ()
 
 

@@ -90,27 +90,6 @@ def test_the_models_file_names_it(tmp_path: Path) -> None:
     assert rows_of(load_robot(str(path))) is None
 
 
-def test_another_file_than_the_models_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "arm.yaml"
-    write_with_rows(knowing(), kept(samples(), ROBOT), path)
-    beside = tmp_path / "arm.rows.npz"
-    content = bytearray(beside.read_bytes())
-    content[len(content) // 2] ^= 1
-    beside.write_bytes(bytes(content))
-    with pytest.raises(RobotError, match=r"not the file that the model was written with") as error:
-        rows_of(load_robot(str(path)))
-    assert "--no-rows" in str(error.value)
-
-
-def test_a_file_that_is_missing_is_said(tmp_path: Path) -> None:
-    path = tmp_path / "arm.yaml"
-    write_with_rows(knowing(), kept(samples(), ROBOT), path)
-    (tmp_path / "arm.rows.npz").unlink()
-    said = rows_of(load_robot(str(path)))
-    assert isinstance(said, str)
-    assert said.startswith("Caution: ")
-
-
 def test_rows_of_other_joints_are_refused(tmp_path: Path) -> None:
     rows = kept(samples(), ROBOT)
     path = tmp_path / "arm.rows.npz"
@@ -177,13 +156,6 @@ def test_damaged_rows_are_refused_where_they_are_read(damage: str, tmp_path: Pat
     content = io.BytesIO()
     np.savez(content, **{k: x for k, x in arrays.items() if x is not None})
     refuses(content.getvalue(), said, tmp_path)
-
-
-@pytest.mark.parametrize("part", [slice(0, -1000), slice(0, 0), slice(30, None)])
-def test_so_is_a_part_of_a_file(part: slice, tmp_path: Path) -> None:
-    whole = tmp_path / "whole.npz"
-    rows_of_a_log().write(whole)
-    refuses(whole.read_bytes()[part], "", tmp_path)
 
 
 def test_so_is_a_byte_that_has_changed_before_it_was_named(tmp_path: Path) -> None:

@@ -6,12 +6,6 @@ from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
 
 
-def test_defaults():
-    s = GapSettings()
-    assert s.effects is None
-    assert (s.parameters, s.cutoff, s.report_band, s.folds) == ("auto", "auto", 20.0, 5)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

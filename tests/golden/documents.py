@@ -249,7 +249,7 @@ DOCUMENTS: dict[str, Callable[[Bench], dict[str, Any]]] = {
     "robot": lambda b: b.run("robot", "3r_friction"),
     "simulate": _simulate,
     "since": lambda b: b.gap("friction", *FEW, "--before", b.runs("none")[1]),
-    "study": lambda b: b.run("study", "3r", *SEARCH, "--no-figures"),
+    "study": lambda b: b.run("study", "3r", *SEARCH),
     "withheld_score": _score,
     "wrenches": lambda b: b.run("wrenches", "3r", "--per-kind", 15, "--resamples", 20),
     "wrenches_sets": lambda b: b.run("wrenches", "3r", "--sets", b.sets),

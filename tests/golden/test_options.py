@@ -34,11 +34,3 @@ def test_a_change_is_said(change, said) -> None:
     change(now)
     (found,) = differences(stored(), now)
     assert said in found
-
-
-def test_the_table_holds_what_users_write() -> None:
-    gap = stored()["gap"]
-    assert "-q" in gap["--quiet"]["names"]
-    assert gap["--parameters"]["type"] == "choice of trusted, free, auto"
-    assert gap["<logs>"]["type"] == "list of path"
-    assert stored()["log show"]

@@ -11,7 +11,6 @@ from tests.arms import ARMS, arm, mixed_arm
 from tests.excitation.test_excitation import random_arm
 from tests.identification.test_paper_tables import coefficients
 from tests.marks import quick_first
-from torchid.effects.base import Motion
 from torchid.effects.registry import on_every_joint
 from torchid.errors import IdentificationError, TorchidError
 from torchid.identification.base_parameters import (
@@ -269,13 +268,3 @@ def test_a_doubtful_rank_is_said():
     (warning,) = base.warnings
     assert "b was kept" in warning
     assert "c dropped" in warning
-
-
-def test_random_states_are_those_of_the_seed():
-    robot = load_robot("3r")
-    a, b, c = (random_states(robot, seed) for seed in (4, 4, 5))
-    assert isinstance(a, Motion)
-    assert torch.equal(a.q, b.q)
-    assert not torch.equal(a.q, c.q)
-    assert a.q.shape == (240, 3)
-    assert float(a.q.abs().max()) <= math.pi

@@ -22,7 +22,6 @@ from torchid.identification.settings import Method
 from torchid.identification.values import read_base
 from torchid.json_data import write_json
 from torchid.log.model import Log
-from torchid.robot.inertia import InertialParameters
 from torchid.robot.library import load_robot
 from torchid.robot.model import Limits, Robot
 
@@ -288,95 +287,7 @@ def test_prismatic_joints():
     assert found.base.units[0] == "kg"
 
 
-@pytest.mark.slow
-def test_progress_is_reported():
-    stages: dict[str, list[tuple[int, int]]] = {}
-
-    def progress(stage: str, done: int, total: int) -> None:
-        stages.setdefault(stage, []).append((done, total))
-
-    identify(ROBOT, honest(rate=100.0), progress=progress)
-    assert set(stages) >= {"choosing the cut-off", "choosing the reversal speed"}
-    assert all(calls[-1][0] == calls[-1][1] for calls in stages.values())
-
-
 # --- bad input
-
-
-def test_a_log_of_one_sample():
-    with pytest.raises(LogError, match="one sample only"):
-        identify(ROBOT, honest().select(slice(0, 1)))
-
-
-def test_an_empty_log():
-    with pytest.raises(LogError):
-        honest().select(slice(0, 0))
-
-
-def test_a_log_that_is_too_short():
-    with pytest.raises(LogError, match="too short to be filtered at 5 Hz"):
-        identify(ROBOT, honest().select(slice(0, 30)), settings=QUICK)
-    with pytest.raises(LogError):
-        identify(ROBOT, honest().select(slice(0, 15)))
-
-
-def test_another_number_of_joints():
-    with pytest.raises(LogError, match="another number of joints"):
-        identify(load_robot("kuka_lwr4"), honest())
-    with pytest.raises(LogError, match="another number of joints"):
-        identify(ROBOT, honest(), held_out=honest("kuka_lwr4_friction"), settings=QUICK)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("joint", "settings"),
-    [(0, QUICK), (1, QUICK), (2, QUICK), (1, Settings()), (2, replace(QUICK, rows="all"))],
-)
-def test_a_joint_that_never_moves(joint, settings):
-    q = honest().q.clone()
-    q[:, joint] = 0.3
-    found = identify(ROBOT, honest().replace(q=q), settings=settings)
-    assert f"Fv{joint + 1}" in found.undetermined
-    assert any(f"joint {joint + 1}" in w and "move" in w for w in found.warnings)
-    assert any("does not determine" in w for w in found.warnings)
-    assert bool(torch.isfinite(found.values).all())
-    assert bool(torch.isfinite(found.covariance).all())
-
-
-def test_nothing_moves():
-    log = honest()
-    still = log.replace(q=torch.zeros_like(log.q))
-    with pytest.raises(LogError, match="no joint moves"):
-        identify(ROBOT, still, settings=QUICK)
-
-
-def test_all_zero_torque():
-    with pytest.raises(LogError):
-        identify(ROBOT, honest().replace(tau=torch.zeros_like(honest().tau)))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("covariance", ["diagonal", "full"])
-@pytest.mark.parametrize("joint", [0, 2])
-def test_a_joint_without_torque_is_said(joint, covariance):
-    tau = honest().tau.clone()
-    tau[:, joint] = 0.0
-    settings = replace(QUICK, covariance=covariance)
-    found = identify(ROBOT, honest().replace(tau=tau), settings=settings)
-    assert any(f"joint {joint + 1}" in w and "torque" in w for w in found.warnings)
-    assert bool(torch.isfinite(found.values).all())
-    assert bool(torch.isfinite(found.covariance).all())
-
-
-def test_no_torque():
-    with pytest.raises(LogError, match="no torque"):
-        identify(ROBOT, honest().replace(tau=None))
-
-
-def test_degrees():
-    log = honest()
-    with pytest.raises(LogError, match="degrees"):
-        identify(ROBOT, log.replace(q=log.q * 57.29577951308232))
 
 
 def test_a_robot_without_limits_and_parameters():
@@ -385,13 +296,6 @@ def test_a_robot_without_limits_and_parameters():
     torch.testing.assert_close(
         found.values, identify(ROBOT, honest(), settings=QUICK).values, rtol=1e-12, atol=1e-12
     )
-
-
-def test_nan_is_refused():
-    tau = honest().tau.clone()
-    tau[17, 1] = float("nan")
-    with pytest.raises(LogError, match="NaN"):
-        identify(ROBOT, honest().replace(tau=tau))
 
 
 @pytest.mark.parametrize(
@@ -412,54 +316,7 @@ def test_unknown_choices_are_refused(change, message):
         Settings(**change)
 
 
-@pytest.mark.parametrize("change", [{"effects": ("stiction",)}, {"cutoff": 150.0},
-                                    {"error_cutoff": 900.0}])  # fmt: skip
-def test_what_only_the_log_and_the_registry_know_is_refused(change):
-    with pytest.raises(TorchidError):
-        identify(ROBOT, honest(), settings=replace(QUICK, **change))
-
-
 # --- coverage of the intervals
-
-
-def coverage(name: str, runs: int, settings: Settings) -> tuple[float, float, float]:
-    """Share of true parameters inside their 95 % intervals; its smallest and largest over
-    parameters."""
-    robot = load_robot(name)
-    inside = []
-    for seed in range(runs):
-        trajectory = trajectory_log(random_trajectory(robot, seed, count=3, fill=True), 200.0)
-        log = synthetic_log(robot, trajectory, HonestNoise(), seed)
-        found = identify(robot, log, settings=settings)
-        bounds = found.interval(0.95)
-        expected = truth(found)
-        inside.append((bounds[:, 0] <= expected) & (expected <= bounds[:, 1]))
-    share = torch.stack(inside).double()
-    return float(share.mean()), float(share.mean(0).min()), float(share.mean(0).max())
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("name", "runs", "reversal"), [("3r", 200, "auto"), ("kuka_lwr4_friction", 60, 0.0)]
-)
-def test_95_percent_intervals_cover_the_truth(name, runs, reversal, record_property):
-    settings = Settings(cutoff=8.0, signs="free", reversal=reversal)
-    mean, lowest, highest = coverage(name, runs, settings)
-    record_property("coverage", mean)
-    print(f"\n{name}: {100 * mean:.1f} % ({100 * lowest:.0f} to {100 * highest:.0f})")
-    assert 0.92 <= mean <= 0.98
-    # Of one parameter in few runs: five standard deviations of a binomial share.
-    assert lowest > 0.95 - 5 * (0.95 * 0.05 / runs) ** 0.5
-
-
-@pytest.mark.nightly
-def test_predictions_are_of_the_rigid_body_for_a_bare_robot():
-    found = by_default("3r", 0)
-    q, dq, ddq = torch.randn(3, 10, 3, dtype=torch.float64)
-    pi = load_robot("3r").parameters
-    assert isinstance(pi, InertialParameters)
-    rigid = inverse_dynamics(ROBOT, q, dq, ddq, pi)
-    assert float((found.predict(q, dq, ddq) - rigid).abs().max()) < 0.1
 
 
 def hardly_moving(amplitude: float) -> Log:

@@ -129,13 +129,6 @@ def test_what_was_not_estimated_has_no_standard_deviation():
     assert data["fit"]["relative_error_percent_moving"][1] is None
 
 
-def test_no_effects_no_entries_and_no_held_out():
-    data = strict(result(kind="rigid").plain())
-    assert data["effects"] == []
-    assert data["held_out"] is None
-    assert data["absorbed"] == []
-
-
 def test_the_choice_of_the_cutoff_is_told():
     data = strict(result(kind="auto").plain())
     choice = data["cutoff_choice"]

@@ -18,7 +18,6 @@ from torchid.identification.model import model_torque
 from torchid.identification.rows import RowSource
 from torchid.identification.tuning import (
     CUTOFFS,
-    REVERSALS,
     Training,
     choose_cutoff,
     choose_reversal,
@@ -103,18 +102,6 @@ def test_candidates_of_short_and_of_slow_logs():
     assert choose_cutoff(training(slow, RIGID, ())).candidates == (1.0, 1.5, 2.0)
     both = log_of(RIGID, COARSE, rate=10.0, duration=3.0, count=1)
     assert choose_cutoff(training(both, RIGID, ())).candidates == (2.0,)
-
-
-@pytest.mark.slow
-def test_progress_is_reported():
-    calls: list[tuple[int, int]] = []
-    log = log_of(ROBOT, HonestNoise(encoder_step=1e-3))
-    choice = choose_cutoff(training(log), lambda *done: calls.append(done))
-    count = len(choice.candidates)
-    assert choice.scores[-1] == float("inf"), "not tried, as noise has long taken over"
-    assert calls == [(k + 1, count) for k in range(count)]
-    choose_reversal(training(log), 8.0, lambda *done: calls.append(done))
-    assert calls[count:] == [(k + 1, len(REVERSALS)) for k in range(len(REVERSALS))]
 
 
 @pytest.mark.nightly

@@ -81,17 +81,6 @@ def test_everything_in_the_state(tmp_path: Path, log: Log) -> None:
     assert close(read.signals["tau"], log.signals["tau"])
 
 
-def test_names_that_are_not_the_robots(tmp_path: Path, log: Log) -> None:
-    features = {"observation.state": ([*ARM, "gripper"], with_gripper(log.q))}
-    path = write_lerobot(tmp_path / "set", "v2.1", log, features)
-    read = read_log(path, joints=("a", "b", "c"))
-    assert close(read.q, log.q)
-    assert any("order of the dataset: shoulder, elbow, wrist" in w for w in read.warnings)
-    with pytest.raises(LogError, match="is not clear") as info:
-        read_log(path, joints=("a", "b"))
-    assert "q=observation.state[:,0:2]" in str(info.value.hint)
-
-
 @pytest.mark.parametrize(
     "text",
     [

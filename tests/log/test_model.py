@@ -57,6 +57,9 @@ def test_frozen(three: Log) -> None:
         ({"trajectory": torch.tensor([0, 2, 2])}, "consecutive runs"),
         ({"trajectory": torch.tensor([0, 1, 0])}, "consecutive runs"),
         ({"names": ("a", "b")}, "one name a trajectory"),
+        ({"q": "positions"}, "q must be a table of numbers"),
+        ({"q": [[1.0, 2.0], [3.0]]}, "q must be a table of numbers"),
+        ({"trajectory": [0.5, 1.0, 1.0]}, "trajectories are numbered"),
     ],
 )
 @pytest.mark.usefixtures("types_unchecked")
@@ -167,11 +170,6 @@ def test_split_cuts_every_trajectory(fraction: float, gap: float, sizes: list[in
         assert a.t[-1] == pytest.approx(border, abs=0.0101)
         assert b.t[0] == pytest.approx(border + gap, abs=0.0101)
         assert b.t[0] - a.t[-1] > gap
-
-
-def test_split_without_gap_loses_nothing(three: Log) -> None:
-    first, rest = three.split(0.5)
-    assert first.samples + rest.samples == three.samples
 
 
 @pytest.mark.parametrize(

@@ -278,28 +278,6 @@ def test_names_that_are_not_the_robots(tmp_path: Path, log: Log) -> None:
     assert torch.allclose(scaled.signals["tau"], 1e-3 * log.signals["tau"])
 
 
-@pytest.mark.parametrize("kind", BAGS)
-def test_damaged_bags(tmp_path: Path, log: Log, kind: str) -> None:
-    path = write_bag(tmp_path / "bag", kind, {TOPIC: messages_of(log, UR, (0, 1, 2))})
-    file = path if kind == "ros1" else next(p for p in path.iterdir() if p.suffix != ".yaml")
-    whole = file.read_bytes()
-    for content in (
-        whole[: len(whole) // 2],
-        whole[:100],
-        b"",
-        np.random.default_rng(0).bytes(5000),
-    ):
-        file.write_bytes(content)
-        for target in {path, file}:
-            with pytest.raises(LogError) as info:
-                read_log(target, joints=UR)
-            assert str(target) in str(info.value)
-    if kind != "ros1":
-        (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-        with pytest.raises(LogError, match="is not a bag that can be read"):
-            read_log(path)
-
-
 def test_bags_without_joint_states(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", "mcap", {TOPIC: []})
     with pytest.raises(LogError, match="has no joint states"):

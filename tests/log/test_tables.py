@@ -332,28 +332,6 @@ def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
         assert name in str(info.value)
 
 
-def test_damaged_files(tmp_path: Path, log: Log) -> None:
-    savemat(tmp_path / "old.mat", {"t": log.t.numpy(), "q": log.q.numpy()}, do_compression=True)
-    write_v73(tmp_path / "new.mat", {"t": log.t.numpy(), "q": log.q.numpy()})
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("t", data=log.t.numpy(), compression="gzip")
-        file.create_dataset("q", data=log.q.numpy(), compression="gzip")
-    random = np.random.default_rng(0)
-    for name in ("old.mat", "new.mat", "a.h5"):
-        path = tmp_path / name
-        whole = path.read_bytes()
-        assert read_log(path).n == 3
-        contents = [whole[: len(whole) // 2], whole[:20], whole[:600], random.bytes(4000)]
-        for content in contents:
-            path.write_bytes(content)
-            with pytest.raises(LogError) as info:
-                read_log(path)
-            assert str(path) in str(info.value)
-        path.write_bytes(b"")
-        with pytest.raises(LogError, match="is empty"):
-            read_log(path)
-
-
 def test_nothing_to_read_in_it(tmp_path: Path) -> None:
     savemat(tmp_path / "a.mat", {"note": "nothing"})
     with pytest.raises(LogError, match="no array of numbers") as info:

@@ -23,7 +23,7 @@ from torchid.identification.base_parameters import base_parameters
 from torchid.log.filtering import ZeroPhaseFilter
 from torchid.next_motion.ambiguity import open_questions, rivals
 from torchid.next_motion.rows import RATE, Rows, Setting
-from torchid.next_motion.separating_motion import Separation, _hardly, design_separation
+from torchid.next_motion.separating_motion import Separation, design_separation
 from torchid.next_motion.separation import (
     DECISIVE,
     SAME_SHARE,
@@ -203,22 +203,6 @@ def test_no_search_for_what_the_plain_motion_decides(robot, setting, monkeypatch
     assert done(close) == (160, False)
     monkeypatch.setattr("torchid.next_motion.separating_motion._hardly", lambda *told: True)
     assert done(close) == (97, True)
-
-
-@pytest.mark.parametrize(
-    ("told", "of_plain", "hardly"),
-    [
-        ([5.0, 0.2], [3.0, 0.2], True),
-        ([5.0, 0.2], [0.92, 0.2], True),
-        ([1.0, 0.2], [0.8, 0.2], False),
-        ([0.6, 0.1], [0.2, 0.1], False),
-        ([0.2, 3.0], [3.0, 0.2], True),
-    ],
-)
-def test_hardly_better_is_what_a_tenth_more_time_does(told, of_plain, hardly):
-    assert (
-        _hardly(*([Discrimination(9 * x, x) for x in both] for both in (told, of_plain))) is hardly
-    )
 
 
 def test_what_no_motion_settles_is_refused_with_what_would(robot, setting):

@@ -1,6 +1,5 @@
 """Logs of commands and positions that cannot be what they should be, each in a clear sentence."""
 
-import math
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,6 @@ from torchid.position.model import ServoArm
 from torchid.report.position import change_table
 from torchid.results.files import load
 
-DEGREES = 180 / math.pi
 ONE = torch.ones(3, dtype=torch.float64)
 
 

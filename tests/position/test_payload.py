@@ -22,7 +22,7 @@ def loaded(mass: float, seed: int, motions: int = 3) -> Loaded | None:
     return with_load(few, plain(few))
 
 
-@pytest.mark.parametrize(("mass", "seed"), [(1.0, 3), (2.5, 4), (5.0, 5)])
+@pytest.mark.parametrize(("mass", "seed"), [(1.0, 3), (5.0, 5)])
 def test_the_interval_of_a_mass_holds_what_stronger_servos_do(mass, seed):
     """No torque is measured: the more the load outweighs the arm, the less says how heavy it is."""
     found = loaded(mass, seed)

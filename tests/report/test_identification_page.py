@@ -1,6 +1,7 @@
 """The page of an identification says what the identification holds."""
 
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -35,21 +36,22 @@ def tree(result):
 @pytest.mark.slow
 def test_numbers_are_those_of_the_json(result, tree):
     data = result.plain()
-    rows = rows_of(tree, "Base parameters")
+    rows = rows_of(tree, "with scaled columns)")
     assert [row[0] for row in rows] == [p["name"] for p in data["parameters"]]
     for row, p in zip(rows, data["parameters"], strict=True):
-        assert row[2] == p["unit"].replace("^2", "²")
-        low, high = (float(x) for x in row[4].strip("[]").split(", "))
-        assert float(row[1]) == pytest.approx(p["value"], rel=1e-5)
-        # The ends have the digits that the standard deviation leaves them.
-        assert [low, high] == pytest.approx(p["ci95"], rel=1e-5, abs=0.01 * p["std"])
-        assert float(row[3]) == pytest.approx(p["std"], rel=1e-2)
-        assert float(row[5]) == pytest.approx(p["relative_std_percent"], abs=0.05)
+        value, std, unit = re.fullmatch(r"(\S+) ± (\S+) (.*)", row[1]).groups()
+        assert unit == p["unit"].replace("^2", "²")
+        # As many digits as the standard deviation leaves.
+        assert float(value) == pytest.approx(p["value"], abs=0.51 * p["std"])
+        assert float(std) == pytest.approx(p["std"], rel=0.35)
+        assert float(row[2]) == pytest.approx(p["relative_std_percent"], rel=5e-3)
+        low, high = (float(x) for x in row[3].split(" .. "))
+        assert [low, high] == pytest.approx(p["ci95"], rel=1e-3)
     effects = rows_of(tree, "Coefficients of the effects")
     assert len(rows) + len(effects) == len(result.base)
     (moving,) = (r for r in rows_of(tree, "less in slow logs)") if r[0] == "held out, moving")
     expected = data["held_out"]["relative_error_percent_moving"]
-    assert [float(x) for x in moving[1:4]] == pytest.approx(expected, abs=0.005)
+    assert [float(x) for x in moving[1:4]] == pytest.approx(expected, rel=5e-3)
 
 
 def test_verdict(result, tree):
@@ -83,17 +85,6 @@ def test_verdict_of_what_is_not_determined_and_of_joints_that_rest(result):
     alone[2] = 72.0
     said = verdict(replace(result, held_out=structs.replace(errors, relative_percent_moving=alone)))
     assert "by 72.0 % of its size while the joint moves and is of no use there" in said
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("why", ["held", "at its bound"])
-def test_a_coefficient_that_is_held(result, why):
-    free = result.free.clone()
-    free[0] = False
-    bounded = result.base.names[:1] if why == "at its bound" else ()
-    one = replace(result, free=free, bounded=tuple(bounded))
-    rows = rows_of(parsed(render(identification_page(one, made()))), "Base parameters")
-    assert rows[0][3:] == [why, "-", "-"]
 
 
 @pytest.mark.slow

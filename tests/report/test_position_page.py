@@ -10,7 +10,7 @@ from tests.position.diagnosed import diagnosis, finding
 from tests.report.page.reading import parsed, rows_of, text_of
 from torchid.position.record import Accuracy
 from torchid.report.causes import cause_table
-from torchid.report.diagnosis import figures, page, report_of_diagnosis
+from torchid.report.diagnosis import page, report_of_diagnosis
 from torchid.report.over_time import Run, motion_over_time
 from torchid.report.page.document import origin, render
 from torchid.report.position import nominal_table, remarks, where_table, worst_joints
@@ -39,8 +39,8 @@ def test_the_first_screen(found):
     assert "acceleration = 39" in text
     assert "plane contact" in text
     assert "something to bear in mind" in text
-    assert [f.get("id") for f in tree.xpath("//figure")] == ["robot", "motion", "where"]
-    assert len(rows_of(tree, "Error of each motion, left out [mrad]")) == 2
+    assert [f.get("id") for f in tree.xpath("//figure")] == ["motion", "where"]
+    assert len(rows_of(tree, "Error of each motion, left out, per joint [mrad]")) == 2
 
 
 @pytest.mark.slow
@@ -55,16 +55,16 @@ def test_without_a_finding():
 
 
 def test_figures_by_name(found):
-    assert set(figures(found)) == {"where", "gap_joint_2", "gap_joint_1"}
+    assert set(report_of_diagnosis(found).figures) == {"where", "motion"}
     assert worst_joints(found.record) == [1, 0]  # the third never moves
     assert "joint 1:" in found.plot("motion", joint=0).get_suptitle()
-    # The joint is shown where the plain servo errs most: rows 400 to 599, in the first motion.
+    # The joint is shown where the plain servo errs most: rows 400 to 599 of the first motion.
     motion = motion_over_time(found)
-    assert motion.worst(1) == 0
     rows, _ = motion.runs[0].window(1)
     assert rows.start <= 400
     assert rows.stop >= 599
     above, below = motion.draw(1).axes
+    assert below.get_xlabel() == f"time in {motion.runs[0].name} [s]"
     assert [line.get_label() for line in above.lines] == [
         "command", "arm, measured", "plain servo", "corrected servo",
     ]  # fmt: skip
@@ -124,7 +124,7 @@ def test_where_an_answer_is_worse_than_a_plain_servo_is_said():
 @pytest.mark.slow
 def test_a_size_whose_interval_holds_nothing_is_not_determined():
     one = finding("end_stop", 2, 14.0, 6.0, stop_high=0.4)
-    unsure = structs.replace(one, ci95={"stop_high": (-0.1, 0.9)})
+    unsure = structs.replace(one, ci95={"stop_high": (-2.0, 2.8)})
     texts = [str(c) for row in cause_table(diagnosis(unsure).record).rows for c in row]
     assert any("not determined" in text for text in texts)
 

@@ -5,14 +5,16 @@ import math
 from typing import Annotated
 
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.json import encode
 from rich.console import Console
 
-from torchid.report.table import Table, table_of
+from torchid.report.table import Table, joint_table, plain_table, table_of
 from torchid.results.record import Col, Ends, Joint, Part, Real, as_plain
 from torchid.results.words import percent
+from torchid.typing import Float, Tensor
 
 
 class Gain(Part, frozen=True, kw_only=True):
@@ -61,6 +63,27 @@ def test_some_columns_in_an_order_of_their_own():
     assert not table_of("", [], "seen joint")
 
 
+class Errors(Part, frozen=True):
+    """Of all joints."""
+
+    force: Annotated[Float[Tensor, " n"], Col(unit="N")]
+    degree: Annotated[Float[Tensor, " K"], Col(words=lambda x: f"{float(x.min()):.1f}")]
+
+
+def test_a_tensor_is_its_numbers_or_what_its_column_says():
+    numbers = torch.tensor([0.12345, math.nan], dtype=torch.float64)
+    rows = [Errors(force=numbers, degree=numbers[:1])]
+    assert table_of("", rows).rows == [["0.123 -", "0.1"]]
+
+
+def test_markdown_and_terminal_show_a_cell_as_it_is():
+    sheet = Table("t [m]", ("a", "b"), [("||x|| *y*", "[N m]")], "p", "n [kg]")
+    assert sheet.markdown().splitlines()[4] == r"| \|\|x\|\| \*y\* | [N m] |"
+    text = "\n".join(printed(sheet, 80))
+    for part in ("t [m]", "||x|| *y*", "[N m]", "n [kg]"):
+        assert part in text
+
+
 def test_a_page_has_all_rows_and_the_terminal_the_first(table):
     assert [len(t.rows) for t in (table, table.printed, table.on_page())] == [2, 1, 2]
     assert table.printed.note == "A note. And 1 more, in the JSON."
@@ -82,6 +105,23 @@ def printed(table: Table, width: int) -> list[str]:
 
 
 NUMBERS = st.floats(-1e6, 1e6, width=32).map("{:.6g}".format)
+
+
+def test_one_row_a_name_and_one_column_a_joint():
+    rows = [("fit", [1.234, math.nan, 3.0]), ("RMSE", torch.tensor([0.5, 0.25]))]
+    table = joint_table("errors", rows, last=("mean",))
+    assert table.columns == ("", "1", "2", "mean")
+    assert table.rows == [("fit", "1.23", "-", "3"), ("RMSE", "0.5", "0.25", "")]
+
+
+def test_plain_data_have_a_column_a_key():
+    entries = [{"name": "a", "from_s": 1.23456, "k": 1, "ends": [None, 2.0]}, {"k": 2, "ok": True}]
+    table = plain_table("", entries)
+    assert table.columns == ["name", "from s", "k", "ends", "ok"]
+    assert table.rows == [["a", "1.235", "1", "none, 2", "-"], ["-", "-", "2", "-", "yes"]]
+    assert table.letters == "pprpp"
+
+
 WORDS = st.lists(st.text("abcdefgh", min_size=1, max_size=9), min_size=1, max_size=9).map(" ".join)
 
 

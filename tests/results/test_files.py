@@ -59,24 +59,6 @@ def test_the_cell_of_a_notebook(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_next_motion_of_what_was_read_back(tmp_path: Path) -> None:
-    """The log is of a motion that hardly turns joint 3: whether it has friction stays open."""
-    robot = torchid.load_robot("3r")
-    motion = torchid.excite(robot, duration=12.0, restarts=1, iterations=0, usage=0.2).log()
-    still = motion.replace(q=motion.q * 1.0, dq=motion.dq * 1.0, ddq=motion.ddq * 1.0)
-    for signal in (still.q, still.dq, still.ddq):
-        signal[:, 2] = 0.0
-    log = torchid.simulate(robot, still, seed=1)
-    settings = torchid.GapSettings(effects=("viscous_friction",))
-    torchid.diagnose(robot, log, settings=settings).save(tmp_path / "gap.json")
-    made = torchid.load(tmp_path / "gap.json").next_motion(duration=8.0, restarts=1)
-    assert made.kind == "not_testable"
-    assert {r.truth.effect.joint for r in made.rivals} == {2}
-    assert all(told.reached >= 1 for told in made.after)
-    assert made.log().samples > 100
-
-
-@pytest.mark.slow
 def test_the_next_motion_of_an_identification(tmp_path: Path) -> None:
     robot = arm("3r_friction")
     path = identification(tmp_path / "a.json", 0, robot=robot)
@@ -199,16 +181,3 @@ def test_results_in_memory_can_what_their_files_can(name: str, tmp_path: Path) -
     with pytest.raises(TorchidError, match="no such figure") as caught:
         result.plot("nothing")
     assert caught.value.available == list(made.kinds)
-
-
-def test_sets_that_were_read_back_are_sets(tmp_path: Path) -> None:
-    robot = arm("3r_friction")
-    sets = torchid.check(robot).sets
-    sets.save(tmp_path / "sets.json")
-    again = torchid.load(tmp_path / "sets.json")
-    assert len(again) == 1
-    assert again.vector.equal(sets.vector)
-    assert again.search_vector.equal(sets.search_vector)
-    assert again.coefficient_names() == sets.coefficient_names()
-    assert again.part([0]).ids == sets.ids
-    assert again.to_robot(robot, 0).parameters.pi.equal(sets.to_robot(robot, 0).parameters.pi)

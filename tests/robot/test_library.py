@@ -1,5 +1,4 @@
 import pickle
-from pathlib import Path
 
 import pytest
 import torch
@@ -53,19 +52,6 @@ def test_an_unknown_name_lists_the_built_in_ones():
     assert raised.value.available == built_in_robots()
 
 
-@pytest.mark.parametrize("suffix", ["yaml", "yml", "urdf", "URDF", "xml"])
-def test_a_missing_file_is_told(tmp_path, suffix):
-    with pytest.raises(RobotError, match="does not exist"):
-        load_robot(tmp_path / f"none.{suffix}")
-
-
-def test_a_folder_is_not_a_robot(tmp_path):
-    folder = tmp_path / "r.urdf"
-    folder.mkdir()
-    with pytest.raises(RobotError, match="is no regular file"):
-        load_robot(folder)
-
-
 def test_an_own_yaml_is_read(tmp_path):
     path = tmp_path / "mine.yml"
     path.write_text(
@@ -79,13 +65,6 @@ def test_an_own_yaml_is_read(tmp_path):
 def test_a_tip_on_a_built_in_robot_is_refused():
     with pytest.raises(RobotError, match="`tip="):
         load_robot("3r", tip="link_1")
-
-
-def test_a_urdf_is_read(arm_urdf: Path):
-    assert load_robot(str(arm_urdf)).name == "arm"
-    assert load_robot(arm_urdf, tip="elbow").n == 2
-    with pytest.raises(RobotError, match="available: world, base"):
-        load_robot(arm_urdf, tip="nose")
 
 
 @pytest.mark.parametrize("name", ["kuka_lwr4_friction", "ur10e"])

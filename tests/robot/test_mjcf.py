@@ -13,12 +13,10 @@ from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.library import load_robot
 from torchid.robot.mjcf import mjcf_servos, read_mjcf
-from torchid.robot.model import JointType, Robot, link_poses, tool_pose
+from torchid.robot.model import JointType, Robot, link_poses
 from torchid.robot.shapes import link_shapes
 from torchid.robot.writer import write_robot
 from torchid.simulation.servo_loop import compensation
-
-EXACT = 1e-12
 
 # Joints off the body's origin, two joints on one body, a slide, angles in degrees and `ref`,
 # oblique axes, bodies without joints in the middle and at the end, inertias from geometry.
@@ -102,25 +100,6 @@ def pinocchio_model(pin, robot: Robot):
             model.appendBodyToJoint(parent, body, pin.SE3.Identity())
         previous = robot.after[i]
     return model
-
-
-def test_link_poses_equal_mujocos(arm):
-    model = mujoco.MjModel.from_xml_path(str(arm))
-    data = mujoco.MjData(model)
-    robot, at_site = read_mjcf(arm), read_mjcf(arm, tip="tip")
-    for q in states(20, 5)[0]:
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        poses = link_poses(robot, torch.from_numpy(q)).numpy()
-        for name, ours in zip(robot.link_names, poses, strict=True):
-            if name == "b2/j2a":
-                continue
-            assert np.abs(ours[:3, 3] - data.body(name).xpos).max() < EXACT
-            assert np.abs(ours[:3, :3] - data.body(name).xmat.reshape(3, 3)).max() < EXACT
-        for this, theirs in ((robot, data.body("tcp")), (at_site, data.site("tip"))):
-            tool = tool_pose(this, torch.from_numpy(q)).numpy()
-            assert np.abs(tool[:3, 3] - theirs.xpos).max() < EXACT
-            assert np.abs(tool[:3, :3] - theirs.xmat.reshape(3, 3)).max() < EXACT
 
 
 def test_inverse_dynamics_equal_mujocos(arm):

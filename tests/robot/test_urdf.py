@@ -1,5 +1,4 @@
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import torch
 
 from torchid.errors import RobotError
 from torchid.robot.inertia import InertialParameters
-from torchid.robot.library import load_robot
 from torchid.robot.model import JointType, link_poses, tool_pose
 from torchid.robot.shapes import link_shapes
 from torchid.robot.urdf import read_urdf
@@ -35,15 +33,6 @@ def write(tmp_path: Path, *parts: str, root: str = 'robot name="r"') -> Path:
     path = tmp_path / "r.urdf"
     path.write_text(f"<{root}>{''.join(parts)}</{root.split()[0]}>", encoding="utf-8")
     return path
-
-
-def test_a_base_may_stand_on_a_world_that_the_file_does_not_declare(tmp_path: Path) -> None:
-    parts = (link("b"), link("l"), joint("stand", "world", "b", "fixed"), joint("j", "b", "l"))
-    declared = read_urdf(write(tmp_path, link("world", ""), *parts))
-    robot = read_urdf(write(tmp_path, *parts))
-    assert robot.link_names == declared.link_names
-    assert torch.equal(robot.before, declared.before)
-    assert any("its link 'world' is nowhere declared" in w for w in robot.warnings)
 
 
 def one_joint(tmp_path: Path, inside: str = "", kind: str = "revolute", body: str = INERTIAL):
@@ -82,24 +71,6 @@ def test_merged_inertias_equal_pinocchios(arm_urdf):
     masses = robot.parameters.mass.tolist()
     # l2 carries the elbow, l3 the camera, l6 the tool; the base's 9 kg are nobody's.
     assert masses == pytest.approx([4.0, 3.5, 1.8, 1.0, 0.8, 0.65], abs=1e-14)
-
-
-def test_link_poses_equal_mujocos(arm_urdf, configurations):
-    import mujoco
-
-    text = re.sub(r"<visual>.*?</visual>", "", arm_urdf.read_text(encoding="utf-8"))
-    text = re.sub(r"<(transmission|gazebo).*?</\1>", "", text, flags=re.DOTALL)
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    robot = read_urdf(arm_urdf)
-    ours = link_poses(robot, configurations)
-    for k, q in enumerate(configurations.numpy()):
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-        for i, name in enumerate(robot.link_names):
-            assert np.abs(ours[k, i, :3, 3].numpy() - data.body(name).xpos).max() < EXACT
-            expected = data.body(name).xmat.reshape(3, 3)
-            assert np.abs(ours[k, i, :3, :3].numpy() - expected).max() < EXACT
 
 
 def test_what_the_arm_is(arm_urdf):
@@ -154,10 +125,6 @@ def test_a_tip_in_the_middle_ends_the_chain(arm_urdf, configurations):
         tool_pose(part, configurations[:, :2]), expected, rtol=1e-12, atol=1e-12
     )
     assert part.tool[:3, 3].tolist() == [0.4, 0.01, -0.02]
-
-
-def test_load_robot_reads_it(arm_urdf):
-    assert load_robot(arm_urdf, tip="l6").tool.equal(torch.eye(4, dtype=torch.float64))
 
 
 # Single values
@@ -474,21 +441,6 @@ def test_other_files_are_refused(tmp_path, content, message):
     with pytest.raises(RobotError) as raised:
         read_urdf(path)
     assert message in str(raised.value)
-
-
-def test_xacro_is_told_to_be_expanded(tmp_path):
-    root = 'robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"'
-    path = write(tmp_path, A, B, '<xacro:arm n="${k}"/>', joint("j", "a", "b"), root=root)
-    with pytest.raises(RobotError, match="xacro:arm") as raised:
-        read_urdf(path)
-    assert "expand" in raised.value.hint
-
-
-def test_missing_and_unreadable_files(tmp_path):
-    with pytest.raises(RobotError, match="cannot be read"):
-        read_urdf(tmp_path / "none.urdf")
-    with pytest.raises(RobotError, match="cannot be read"):
-        read_urdf(tmp_path)
 
 
 def test_blank_lines_namespaces_and_encodings_are_forgiven(tmp_path):

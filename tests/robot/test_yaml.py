@@ -112,55 +112,32 @@ def test_limits_may_be_infinite_and_then_are_missed_where_needed():
     [
         ("name", ..., "missing required field `name`"),
         ("dh", ..., "'dh' is missing"),
-        ("mass", [1], "unknown field `mass`"),
-        ("dh", [1], "got `array` - at `$.dh`"),
         ("dh.joints", ..., "missing required field `joints` - at `$.dh`"),
         ("dh.convention", "denavit", "'denavit' - at `$.dh.convention`"),
-        ("dh.joint", [], "unknown field `joint` - at `$.dh`"),
         ("dh.joints", [], "length >= 1 - at `$.dh.joints`"),
-        ("dh.joints", "RP", "got `str` - at `$.dh.joints`"),
-        ("dh.joints.0", "R", "got `str` - at `$.dh.joints[0]`"),
         ("dh.joints.1.type", "S", "'S' - at `$.dh.joints[1].type`"),
-        ("dh.joints.1.offset", 1, "unknown field `offset` - at `$.dh.joints[1]`"),
         ("dh.joints.0.alpha", 1.5, "both alpha and alpha_deg"),
         ("dh.joints.1.theta", 0, "both theta and theta_deg"),
         ("dh.joints.0.a", "x", "a: not a finite number"),
-        ("dh.joints.0.a", True, "a: not a finite number"),
         ("dh.joints.0.d", math.nan, "d: not a finite number"),
-        ("gravity", [0, 0], "gravity: wrong size"),
         ("gravity", [0, 0, math.nan], "gravity: not all finite"),
         ("tool", [[1, 0], [0, 1]], "tool: wrong size"),
-        ("limits", [1, 2], "got `array` - at `$.limits`"),
         ("limits.speed", [1, 2], "unknown field `speed` - at `$.limits`"),
         ("limits.position", [1], "limits.position: wrong size"),
-        ("limits.position", 1, "limits.position: wrong size"),
-        ("limits.position", [1, math.nan], "limits.position: not all finite"),
         ("limits.position", [1, -1], "not below"),
         ("limits.position", [[1, 1], [0, 1]], "not below"),
         ("limits.position", [[0, 1], 1], "not numbers, or rows"),
-        ("parameters", [1], "got `array` - at `$.parameters`"),
-        ("parameters.mass", ..., "missing required field `mass` - at `$.parameters`"),
         ("parameters.inertia_about_com", ..., "needs mass, com"),
         ("parameters.inertia_about_link_frame", [[1] * 6] * 2, "needs mass, com"),
-        ("parameters.inertia", 1, "unknown field `inertia` - at `$.parameters`"),
         ("parameters.mass", [1, 2, 3], "mass: wrong size"),
-        ("parameters.mass", [1, math.inf], "mass: not all finite"),
-        ("parameters.com", [[1, 2], [1, 2]], "com: wrong size"),
         ("parameters.inertia_about_com", [[1] * 6, [1] * 5], "not numbers, or rows"),
         ("parameters.mass", ["1e-3", 1], "not numbers"),
-        ("parameters.mass", [10**400, 1], "not numbers"),
         ("drive_gain", [1], "drive_gain: wrong size"),
-        ("drive_gain", ["x", 1], "not numbers"),
         ("effects", "friction", "list of records"),
         ("effects", [{"joint": 1}], "'effect'"),
-        ("effects", ["friction"], "'effect'"),
         ("effects.0.joint", 3, "joint that does not exist"),
-        ("effects.0.joint", 0, "joint that does not exist"),
         ("effects.0.joint", "2", "joint that does not exist"),
-        ("effects.0.joint", True, "joint that does not exist"),
-        ("bounds", [1], "got `array` - at `$.bounds`"),
         ("basis", "khalil", "'khalil' - at `$.basis`"),
-        ("basis", ["report"], "got `array` - at `$.basis`"),
     ],
 )
 def test_errors_say_what_is_wrong_and_where(path, value, message):
@@ -181,14 +158,10 @@ def test_numbers_that_yaml_takes_for_text_get_a_hint():
     ("content", "message"),
     [
         (b"name: [1", "not valid yaml"),
-        (b"\x00\x01\x02", "not valid yaml"),
         (b"\xff\xfe\x00\xd8", "not valid yaml"),
-        (b"\x89PNG\r\n\x1a\n", "not valid yaml"),
-        (b"name: 2020-13-45", "not valid yaml"),
         (b"!!python/object:os.system {}", "not valid yaml"),
         (b"", "not a robot description"),
         (b"just text", "not a robot description"),
-        (b"- 1\n- 2", "not a robot description"),
         (b"name: r", "'dh' is missing"),
     ],
 )
@@ -199,10 +172,3 @@ def test_other_files_are_refused(tmp_path, content, message):
         read_yaml(path)
     assert message in str(raised.value)
     assert str(path) in str(raised.value)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(RobotError, match="cannot be read"):
-        read_yaml(tmp_path / "none.yaml")
-    with pytest.raises(RobotError, match="cannot be read"):
-        read_yaml(tmp_path)

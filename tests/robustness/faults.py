@@ -1,10 +1,9 @@
-"""Kill commands at random times, fill their disk and their memory, and look at what is left.
+"""Kill commands at random times, fill their disk, and look at what is left.
 
     python -m tests.robustness.faults --kills 20 --seed 1 --of gap
 
 What is on disk must be whole or absent, and the same command afterwards must give the same bits as
-one that nothing has happened to. A disk is filled by a file system of a few kilobytes where one may
-be mounted; by a limit on the size of files elsewhere.
+one that nothing has happened to.
 """
 
 import argparse
@@ -14,36 +13,26 @@ import json
 import os
 import random
 import resource
-import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
-import types
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from unittest import mock
 
 import joblib
 import yaml
 
 from tests.fleet.simulated import Plan, make
 from tests.gap.small_logs import Recording, arm, friction, logged
-from tests.torchid_bench.withheld import fakes
 from torchid.log.readers import write_log
 from torchid.robot.library import load_robot
-from torchid_bench.withheld import case_set
 
 TEMPORARY = ".torchid-"
 """Begin of the names of files that are not yet what they will be; nothing reads them."""
 NOT_COMPARED = ("duration", "seconds", "time", "saved", "elapsed", "started")
 """Entries of results that are times of the run."""
-LATER = ("another run has put its results there", "results of an earlier run would be written")
-"""What the later one of two runs into one folder may say."""
-COMPARED = (".json", ".yaml")
-"""Results whose bits are compared; pages and figures hold dates."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +43,11 @@ class Scene:
         name: of the command.
         arguments: of the program.
         again: more arguments after what was interrupted.
-        prepare: puts into the folder what the command expects there.
     """
 
     name: str
     arguments: tuple[str, ...]
     again: tuple[str, ...] = ()
-    prepare: Callable[[Path], object] = lambda folder: None
 
 
 def scenes(inputs: Path) -> dict[str, Scene]:
@@ -69,10 +56,6 @@ def scenes(inputs: Path) -> dict[str, Scene]:
     write_log(log, inputs / "log.parquet")
     fleet = Plan(units=4, sessions=2, seconds=5.0)
     make(load_robot("3r_friction"), fleet, inputs / "fleet")
-    module = types.ModuleType("torchid_bench.withheld.plant.case")
-    module.draw_case, module.simulate_case = fakes.draw_case, fakes.simulate_case  # type: ignore[attr-defined]
-    with mock.patch.dict(sys.modules, {module.__name__: module}):
-        case_set.make(inputs / "cases", 3, 0)
     effects = "viscous_friction,coulomb_friction,torque_offset"
     few = "--stages 5 --generations 30 --runs"
     fleet_of = ("fleet", "identify", "3r_friction", str(inputs / "fleet"), "--effects", effects)
@@ -87,7 +70,6 @@ def scenes(inputs: Path) -> dict[str, Scene]:
             ),
             ("--overwrite",),
         ),
-        Scene("study", (*f"study 3r {few} 4 --no-figures --out out".split(),), ("--overwrite",)),
         Scene(
             "gap",
             (
@@ -115,12 +97,6 @@ def scenes(inputs: Path) -> dict[str, Scene]:
             ("--overwrite",),
         ),
         Scene(
-            "withheld run",
-            ("withheld", "run", "cases", "--jobs", "1", "--json", "run.json"),
-            prepare=lambda folder: shutil.copytree(inputs / "cases", folder / "cases"),
-        ),
-        Scene("fleet identify", (*fleet_of, "--out", "out"), ("--overwrite",)),
-        Scene(
             "fleet identify by two",
             (*fleet_of, "--workers", "2", "--out", "out"),
             ("--overwrite",),
@@ -142,19 +118,17 @@ class Ended:
 class Child:
     """A command in a process that is forked from this one, where torch is loaded already."""
 
-    def __init__(
-        self, folder: Path, arguments: Sequence[str], *, file: int = 0, memory: int = 0
-    ) -> None:
+    def __init__(self, folder: Path, arguments: Sequence[str], *, file: int = 0) -> None:
         self.began = time.monotonic()
         self.said = tempfile.TemporaryFile()  # noqa: SIM115, it outlives this function
         self.number = os.fork()
         if self.number == 0:
             try:
-                self._be(folder, arguments, file, memory)
+                self._be(folder, arguments, file)
             finally:
                 os._exit(99)
 
-    def _be(self, folder: Path, arguments: Sequence[str], file: int, memory: int) -> None:
+    def _be(self, folder: Path, arguments: Sequence[str], file: int) -> None:
         os.setpgid(0, 0)  # with the processes that it starts
         os.chdir(folder)
         for stream in (1, 2):
@@ -165,10 +139,6 @@ class Child:
         if file:
             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
             resource.setrlimit(resource.RLIMIT_FSIZE, (file, file))
-        if memory:
-            pages = int(Path("/proc/self/statm").read_text().split()[0])
-            most = pages * resource.getpagesize() + memory
-            resource.setrlimit(resource.RLIMIT_AS, (most, most))
         from torchid.app import main
 
         code = 0
@@ -198,9 +168,9 @@ class Child:
             os.kill(self.number, signal.SIGKILL)
 
 
-def run(scene: Scene, folder: Path, more: Sequence[str] = (), **limits: int) -> Ended:
+def run(scene: Scene, folder: Path, more: Sequence[str] = (), *, file: int = 0) -> Ended:
     """Run a scene's command to its end."""
-    return Child(folder, (*scene.arguments, *more), **limits).ended()
+    return Child(folder, (*scene.arguments, *more), file=file).ended()
 
 
 def fragments(folder: Path) -> list[str]:
@@ -309,7 +279,6 @@ class Faults:
     def folder(self) -> Iterator[Path]:
         """A fresh folder for one run and those that continue it."""
         with tempfile.TemporaryDirectory(dir=self.place) as name:
-            self.scene.prepare(Path(name))
             yield Path(name)
 
     def look(self, folder: Path, what: str) -> None:
@@ -366,111 +335,19 @@ class Faults:
         return done
 
     def full(self, times: int) -> int:
-        """Fill its disk: on file systems of different sizes, or with a limit on the size of files.
-
-        Returns:
-            How many of the runs were refused.
-        """
+        """Fill its disk: let files be of so many bytes at most. How many runs were refused."""
         with self.folder() as folder:
             run(self.scene, folder)
-            sizes = [path.stat().st_size for path in _files(folder)]
-        begin = sum(path.stat().st_size for path in _files(self.place))
+            largest = max(path.stat().st_size for path in _files(folder))
         refused = 0
         for k in range(times):
-            share = (k + self.random.random()) / times
-            with tempfile.TemporaryDirectory(dir=self.place) as name:
-                folder = Path(name)
-                size = max(4096, int(share * (sum(sizes) + 4096 * len(sizes) + begin)))
-                what = f"a disk of {size / 1000:.0f} kB"
-                if mounted(folder, size):
-                    try:
-                        self.scene.prepare(folder)
-                    except OSError:
-                        continue
-                    else:
-                        refused += self.refused(run(self.scene, folder), what)
-                        self.look(folder, what)
-                        _mount("-o", "remount,size=1g", name)
-                        self.goes_on(folder, what)
-                    finally:
-                        unmount(name)
-                else:
-                    self.scene.prepare(folder)
-                    most = max(64, int(share * max(sizes)))
-                    what = f"files of {most} bytes at most"
-                    refused += self.refused(run(self.scene, folder, file=most), what)
-                    self.look(folder, what)
-                    self.goes_on(folder, what)
-        return refused
-
-    def read_only(self) -> bool:
-        """A folder that takes no file; False where none can be mounted."""
-        with tempfile.TemporaryDirectory(dir=self.place) as name:
-            folder = Path(name)
-            if not mounted(folder, 1 << 24):
-                return False
-            try:
-                self.scene.prepare(folder)
-                _mount("-o", "remount,ro", name)
-                if not self.refused(run(self.scene, folder), "read-only"):
-                    self.wrong.append("read-only: it ended well")
-            finally:
-                unmount(name)
-        return True
-
-    def starved(self, times: int) -> int:
-        """Give it too little memory; how often that was so."""
-        refused = 0
-        for k in range(times):
-            more = int((k + self.random.random()) / times * (24 << 20))
             with self.folder() as folder:
-                what = f"{more >> 10} kB of memory"
-                child = Child(folder, self.scene.arguments, memory=more)
-                # Near the limit every allocation is a call of the system's, which is slow.
-                done = child.ended(within=5 * self.seconds)
-                refused += done.code == -signal.SIGKILL or self.refused(done, what)
+                most = max(64, int((k + self.random.random()) / times * largest))
+                what = f"files of {most} bytes at most"
+                refused += self.refused(run(self.scene, folder, file=most), what)
                 self.look(folder, what)
                 self.goes_on(folder, what)
         return refused
-
-    def twice(self, times: int) -> None:
-        """Two of it at once, in one folder."""
-        for _ in range(times):
-            with self.folder() as folder:
-                first = Child(folder, self.scene.arguments)
-                time.sleep(self.random.uniform(0.0, 0.5 * self.seconds))
-                second = Child(folder, self.scene.arguments)
-                for k, child in enumerate((first, second)):
-                    done = child.ended()
-                    if done.code and not (done.code == 1 and any(x in done.said for x in LATER)):
-                        self.wrong.append(f"two at once, {k}: {done.code}: {done.said[-600:]}")
-                self.look(folder, "two at once")
-                # What came later is kept beside, in out-1a2b3c.
-                found = {n: x for n, x in results(folder).items() if not n.startswith("out-")}
-                if found != self.whole:
-                    self.wrong.append("two at once: other results")
-
-
-def mounted(folder: Path, size: int) -> bool:
-    """Make a folder a file system of so many bytes; False where that is not allowed."""
-    return _mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder))
-
-
-def unmount(folder: str, within: float = 20.0) -> None:
-    """Take a file system away, as soon as the processes that work in it have ended."""
-    until = time.monotonic() + within
-    while subprocess.run(["umount", folder], check=False, capture_output=True).returncode:
-        assert time.monotonic() < until, f"{folder} is busy"
-        time.sleep(0.1)
-
-
-def _mount(*arguments: str) -> bool:
-    try:
-        return not subprocess.run(
-            ["mount", *arguments], check=False, capture_output=True
-        ).returncode
-    except FileNotFoundError:
-        return False
 
 
 def loaded() -> None:
@@ -495,8 +372,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--disks", type=int, default=10)
-    parser.add_argument("--memories", type=int, default=6)
-    parser.add_argument("--pairs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--of", action="append", help="commands; all by default")
     given = parser.parse_args()
@@ -512,13 +387,9 @@ def main() -> None:
             one = Faults.of(scene, place, given.seed)
             killed = one.killed(given.kills)
             full = one.full(given.disks)
-            one.read_only()
-            starved = one.starved(given.memories)
-            one.twice(given.pairs)
             print(
                 f"{scene.name} ({one.seconds:.1f} s, {len(one.whole)} files): {killed} kills, "
-                f"{full} of {given.disks} disks full, {starved} of {given.memories} times too "
-                f"little memory, {given.pairs} pairs: {len(one.wrong)} wrong",
+                f"{full} of {given.disks} disks full: {len(one.wrong)} wrong",
                 flush=True,
             )
             for text in one.wrong:

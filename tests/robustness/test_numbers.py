@@ -50,20 +50,9 @@ def test_torques_in_another_unit_scale_every_result(factor):
     assert torch.allclose(two.fit.relative_percent, one.fit.relative_percent, rtol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", [1e3, 1e6])
-def test_torques_far_beyond_the_robots_limits_are_said(factor):
-    robot = load_robot("kuka_lwr4")
-    log = noisy(robot)
-    with_limits = robot.with_limits(torque=[176.0, 176, 100, 100, 100, 38, 38])
-    found = identify(with_limits, log.replace(tau=factor * log.tau), settings=SETTINGS)
-    assert any("is it in another unit?" in warning for warning in found.warnings)
-
-
 @pytest.mark.parametrize(
     ("signal", "factor", "said"),
     [
-        ("q", 180 / math.pi, "degrees"),
         ("dq", 180 / math.pi, "degrees per second"),
         ("dq", 1e3, "dq1 is 1000 times the derivative of q1"),
         ("q", 65536 / math.pi, "neither radians nor degrees"),

@@ -116,7 +116,7 @@ def test_arms_with_other_bodies_and_effects_move_as_on_tensors(
     assert _apart(_steps(plant, 3, 5, on_tensors=False), wanted) < 1e-9
 
 
-@pytest.mark.parametrize("name", quick_first(KINDS, 12))
+@pytest.mark.parametrize("name", quick_first(KINDS, 4))
 def test_every_effect_has_a_straight_form(name: str, request: pytest.FixtureRequest) -> None:
     robot, kind = replace(arm("3r"), effects=()), KINDS[name]
     if issubclass(kind, JointEffect):

@@ -182,21 +182,6 @@ def test_a_stuck_joint_stays_for_minutes(share):
         assert abs(float(tracks.u[-1] - q[-1])) < dry / kp
 
 
-@pytest.mark.nightly
-def test_a_step_is_the_second_order_answer():
-    """Without friction a servo is a damped oscillator."""
-    inertia, kp, b = 0.5 + 0.1, 40.0, 3.0
-    servos = Servos.neutral(1, kp=kp, damping=b, armature=0.1)
-    tracks = steady(0.3, 3.0)
-    zero = torch.zeros(2, 1, 1).double()
-    q = replayed(flywheel(), servos, tracks, windows_of(tracks, None), *zero, longest_step=5e-4)
-    w, half = math.sqrt(kp / inertia), b / (2 * inertia)
-    turn = math.sqrt(w * w - half * half)
-    t = DT * torch.arange(len(q), dtype=torch.float64)
-    exact = 0.3 * (1 - (-half * t).exp() * ((turn * t).cos() + half / turn * (turn * t).sin()))
-    assert float((q[:, 0] - exact).abs().max()) < 3e-4
-
-
 def test_a_profile_accelerates_and_brakes_at_its_limit():
     """A step of 0.4 rad at 10 rad/s^2 takes 0.4 s, with a top speed of 1 rad/s half a second."""
     u = torch.zeros(60, 1, dtype=torch.float64)

@@ -129,7 +129,7 @@ LATE = {"kd": 0.5, "delay": 0.043}
             ({"delay": 0.02}, 2e-3),
             (LATE, 1e-3),
         ],
-        4,
+        2,
         several=True,
     ),
 )

@@ -98,12 +98,6 @@ def test_odd_units_are_found_and_others_hardly_ever() -> None:
 
 
 @pytest.mark.nightly
-def test_a_fleet_without_odd_units_rarely_has_one() -> None:
-    alarms = [bool(pooled(drawn(s, 10, 8, 2, 1.0, 0.3, 0.3)).odd.any()) for s in range(20)]
-    assert sum(alarms) <= 4  # at 5 % one is expected, and more than four in 3 of 1000 tests
-
-
-@pytest.mark.nightly
 def test_what_no_session_tells_is_nothing_and_disturbs_nothing() -> None:
     data = drawn(5, 3, 6, 2, 1.0, 0.3, 0.3)
     whole = pooled(data)

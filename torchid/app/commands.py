@@ -36,6 +36,8 @@ GONE = {
     "gap --to": "torchid correct ROBOT LOG... --to FORMAT",
     "gap --for": "torchid correct ROBOT LOG... --to FORMAT",
     "gap --calibrate": "torchid calibrate ROBOT LOG... --causes N",
+    "study --no-figures": "nothing is drawn into --out; --report has a picture",
+    "effects --out": "--json FILE",
 }
 """Options that the release before had last, and what replaces them."""
 

@@ -98,7 +98,7 @@ def gap_command(
     # The worst joints of an earlier run may have been others.
     shown = output.keep(
         result, "gap.json", partial(report_of_diagnosis, model=words), seed=settings.seed,
-        old=["gap_joint_*.png", "which.png", "planted.png"], files=files,
+        old=["joint_*.png", "gap_joint_*.png", "which.png", "planted.png"], files=files,
         settings=settings_of(result, asked.servo),
     )  # fmt: skip
     output.put(asked.save_model, partial(result.write_corrected, rows=not asked.no_rows))

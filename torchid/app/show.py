@@ -27,46 +27,30 @@ def robot_command(*, arm: opt.Arm, output: Annotated[Kept, "robot.json"]) -> Non
 
 @command
 def effects_command(
-    *, name: Annotated[str | None, typer.Argument(metavar="[NAME]")] = None, output: Kept
+    *,
+    name: Annotated[str | None, typer.Argument(metavar="[NAME]")] = None,
+    output: Annotated[Output, Fields("json_file", "quiet")],
 ) -> None:
     """List the effects that can make an arm differ from its simulator, or explain one of them.
-
-    With --out, write the catalogue of all: effects.md, and its pictures in img.
 
     Example: `torchid effects stribeck_friction`
 
     Args:
         name: One effect; all if left out.
     """
-    from rich.markdown import Markdown
-
     from torchid.effects.registry import KINDS, effect_kind
     from torchid.effects.servo import SERVO_KINDS
-    from torchid.report.catalogue import (
-        effect_record,
-        effect_text,
-        effects_table,
-        servo_text,
-        write_catalogue,
-    )
+    from torchid.report.effects import Kind, effect_record, effect_table, effects_table
 
     # A name may be that of an effect on torque, of a cause under a servo, or of both.
-    servos = [kind for kind in SERVO_KINDS.values() if name in (None, kind.name)]
-    kinds = [kind for kind in KINDS.values() if name in (None, kind.name)]
-    if name is not None and not (kinds or servos):
-        effect_kind(name)  # the error that lists all
-    record = {
-        "schema": "torchid.effects/1",
-        "effects": [*map(effect_record, kinds), *map(effect_record, servos)],
-    }
+    every: list[Kind] = [*KINDS.values(), *SERVO_KINDS.values()]
+    kinds = [kind for kind in every if name in (None, kind.name)]
+    if not kinds:
+        effect_kind(str(name))  # the error that lists all
+    record = {"schema": "torchid.effects/1", "effects": [effect_record(kind) for kind in kinds]}
     output.write_json(record, None)
-    if output.out is not None:
-        output.begin()
-        output.written.append(write_catalogue(output.out))
-    if name is None:
-        output.say(effects_table())
-        return
-    output.say(Markdown("\n".join([*map(effect_text, kinds), *map(servo_text, servos)])))
+    for table in [effects_table(kinds)] if name is None else map(effect_table, kinds):
+        output.say(table)
 
 
 @command

@@ -11,6 +11,7 @@ looks like noise of size d * dtau/dt.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 
@@ -19,6 +20,7 @@ from torchid.design.segments import Samples as SegmentSamples
 from torchid.design.segments import Segment, segments_of
 from torchid.errors import LogError
 from torchid.log.model import Log
+from torchid.results.record import Col
 from torchid.typing import Bool, Float, Int, Samples, Signals, Tensor
 
 POSITION_AGREES = 0.01
@@ -365,11 +367,11 @@ class Repeat:
         duration: [s].
     """
 
-    first: str
-    second: str
-    start_first: float
-    start_second: float
-    duration: float
+    first: Annotated[str, Col("trajectory")]
+    second: Annotated[str, Col("again in")]
+    start_first: Annotated[float, Col("first from", ".2f", "s")]
+    start_second: Annotated[float, Col("again from", ".2f", "s")]
+    duration: Annotated[float, Col("for", ".2f", "s")]
 
 
 def repeated_motion(log: Log) -> tuple[Repeat, ...]:

@@ -119,7 +119,7 @@ class Found(Result):
             search=None
             if search is None
             else SearchRecord(**vars(search.settings), contradictions=search.contradictions),
-            certificate=certificate_record(self.proof),
+            certificate=self.proof and certificate_record(self.proof),
             best=self.sets.ids[self.best],
             sets=tuple(
                 ExtractedSet.of(

@@ -43,21 +43,19 @@ class CertificateRecord(Part, frozen=True, kw_only=True):
     """
 
     feasible: bool
-    with_conditions: bool
-    phi_min: Real
-    phi_strict: Real = math.nan
-    exact: bool = False
-    conflict: tuple[str, ...] = ()
-    forcing: tuple[str, ...] = ()
+    with_conditions: Annotated[bool, Col("all conditions")]
+    phi_min: Annotated[Real, Col(digits=".4g")]
+    phi_strict: Annotated[Real, Col("reached", ".4g")] = math.nan
+    exact: Annotated[bool, Col()] = False
+    conflict: Annotated[tuple[str, ...], Col("no room for")] = ()
+    forcing: Annotated[tuple[str, ...], Col("forced by")] = ()
     phi_min_without: dict[str, float] = field(default_factory=dict)
-    relaxed_active: tuple[str, ...] = field(name="relaxed", default=())
+    relaxed_active: Annotated[tuple[str, ...], Col("relaxed")] = field(name="relaxed", default=())
     seconds: float
 
 
-def certificate_record(proof: CertificateRecord | None) -> CertificateRecord | None:
-    """As the JSON has it; None where there is no certificate."""
-    if proof is None:
-        return None
+def certificate_record(proof: CertificateRecord) -> CertificateRecord:
+    """As the JSON has it."""
     return CertificateRecord.of(proof, feasible=proof.feasible and proof.with_conditions)
 
 

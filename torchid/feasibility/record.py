@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import UNSET, UnsetType
 
@@ -30,12 +30,18 @@ from torchid.feasibility.sets import ParameterSets, nominal_set, read_sets
 from torchid.feasibility.units import nominal_findings, shape_findings
 from torchid.inputs import RobotLike, as_robot
 from torchid.json_data import plain
-from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
+from torchid.results.record import Col, Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.robot.model import Robot
 from torchid.robot.shapes import LinkShapes, link_shapes
 from torchid.typing import Float, Tensor
 
 NO_GEOMETRY = "none"
+
+
+def _least(margins: Sequence[float]) -> str:
+    """The smallest margin in millimetres."""
+    least = min(margins)
+    return f"{1e3 * least:.1f}" if math.isfinite(least) else "-"
 
 
 class LinkVerdict(Part, frozen=True, kw_only=True):
@@ -52,20 +58,42 @@ class LinkVerdict(Part, frozen=True, kw_only=True):
         density, semi_axes, gyration: of the equivalent ellipsoid [kg/m^3; m; m].
     """
 
-    link: Joint
-    name: str
-    mass: Real
+    link: Annotated[Joint, Col()]
+    name: Annotated[str, Col()]
+    mass: Annotated[Real, Col(digits=".4g", unit="kg")]
     com: Float[Tensor, "3"]
     inertia_eigenvalues: Float[Tensor, "3"]
     violation: str | None
     triangle_margin: Real
-    triangle_excess_percent: float | None
-    com_margins: tuple[Real, ...]
-    shape_margin: Real
+    triangle_excess_percent: Annotated[
+        float | None, Col("largest over sum of others [%]", words=lambda x: f"{100 + x:.3g}")
+    ]
+    com_margins: Annotated[tuple[Real, ...], Col("CoM to box [mm]", words=_least)]
+    shape_margin: Annotated[Real, Col("to shape [mm]", words=lambda x: _least([x]))]
     degrees: dict[str, float | None]
     density: Real
     semi_axes: Float[Tensor, "3"]
     gyration: Real
+
+    @property
+    def inertias(self) -> Annotated[str, Col("principal inertias [kg m²]")]:
+        """Its inertia's eigenvalues."""
+        return " ".join(f"{v:.3g}" for v in self.inertia_eigenvalues.tolist())
+
+    @property
+    def centre(self) -> Annotated[str, Col("CoM [mm]")]:
+        """Its centre of mass."""
+        return " ".join(f"{1e3 * c:.1f}" for c in self.com.tolist())
+
+    @property
+    def degree(self) -> Annotated[float, Col(digits=".2g")]:
+        """The smallest of its conditions; nan of no body."""
+        return min((x for x in self.degrees.values() if x is not None), default=math.nan)
+
+    @property
+    def violated(self) -> Annotated[tuple[str, ...], Col()]:
+        """Conditions that it misses."""
+        return tuple(name for name, x in self.degrees.items() if x is None or x < 0)
 
 
 class Nearest(Part, frozen=True, kw_only=True):
@@ -90,15 +118,15 @@ class SetVerdict(Part, frozen=True, kw_only=True):
         nearest: the feasible set nearest to it, where it was asked for.
     """
 
-    id: str
-    feasible: bool
-    reasons: tuple[str, ...]
+    id: Annotated[str, Col("set")]
+    feasible: Annotated[bool, Col()]
+    reasons: Annotated[tuple[str, ...], Col("violated")]
     margins: dict[str, float | None]
-    degree: Real
+    degree: Annotated[Real, Col(digits=".2g")]
     degrees: dict[str, float | None]
-    total_mass: Real
+    total_mass: Annotated[Real, Col(digits=".4g", unit="kg")]
     links: tuple[LinkVerdict, ...]
-    plausibility: tuple[Finding, ...]
+    plausibility: Annotated[tuple[Finding, ...], Col("findings", words=lambda x: str(len(x)))]
     nearest: Nearest | UnsetType = UNSET
 
 

@@ -23,7 +23,7 @@ from torchid.results.record import (
     Rows,
     face,
 )
-from torchid.results.words import effect_words
+from torchid.results.words import digits, effect_words, listed, span
 from torchid.robot.model import Robot
 from torchid.robot.writer import write_robot
 from torchid.simulators.nearest_fields import NearestFields
@@ -159,10 +159,10 @@ class Known(Part, frozen=True, kw_only=True):
 class JointRms(Part, frozen=True):
     """Torque error of one joint before and after, and the noise."""
 
-    joint: Joint
-    before: Real
-    after: Real
-    noise_floor_rms: Ends
+    joint: Annotated[Joint, Col()]
+    before: Annotated[Real, Col("as given", words=digits)]
+    after: Annotated[Real, Col("corrected", words=digits)]
+    noise_floor_rms: Annotated[Ends, Col("noise", words=span)]
 
 
 class FarRecord(Part, frozen=True, kw_only=True):
@@ -236,6 +236,11 @@ class Informative(Part, frozen=True, kw_only=True):
     to_s: float
     share: float
 
+    @property
+    def words(self) -> str:
+        """`run1 from 3.2 to 4.1 s`."""
+        return f"{self.trajectory} from {self.from_s:.1f} to {self.to_s:.1f} s"
+
 
 class Experiment(Part, frozen=True, kw_only=True):
     """What would separate the largest ambiguity.
@@ -248,11 +253,11 @@ class Experiment(Part, frozen=True, kw_only=True):
         seconds_of_the_same_motion: that would make the odds; None where no length would.
     """
 
-    separates: tuple[str, ...]
-    joint: Joint | None
-    do: str
-    most_informative: Informative
-    seconds_of_the_same_motion: float | None
+    separates: Annotated[tuple[str, ...], Col(words=lambda x: listed(map(effect_words, x)))]
+    joint: Annotated[Joint | None, Col()]
+    do: Annotated[str, Col("what to do")]
+    most_informative: Annotated[Informative, Col(words=lambda one: one.words)]
+    seconds_of_the_same_motion: Annotated[float | None, Col("or as now for", ".4g", "s")]
 
 
 class NoiseFloor(Part, frozen=True):

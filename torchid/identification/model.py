@@ -1,7 +1,8 @@
 """What an identified model can do, just computed or read back from its file."""
 
+import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
@@ -11,15 +12,27 @@ from torchid.effects.base import Effect, JointEffect, Motion
 from torchid.effects.registry import Valued, in_rounds
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters
-from torchid.results.record import face
+from torchid.results.record import Col, Ends, Part, face
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.statistics.jackknife import student_quantile
 from torchid.tensors import joint_signals
-from torchid.typing import Float, Joints, Numbers, Tensor
+from torchid.typing import Bool, Float, Joints, Numbers, Tensor
 
 if TYPE_CHECKING:
     from torchid.excitation.design import InformedDesign
+
+
+class BaseParameter(Part, frozen=True, kw_only=True):
+    """A base parameter; what was not estimated has neither std nor interval."""
+
+    name: Annotated[str, Col()]
+    unit: str
+    value: Annotated[float, Col("value ± std", spread="std", unit_of="unit")]
+    std: float | None
+    relative_std_percent: Annotated[float | None, Col("std, % of value")]
+    ci95: Annotated[Ends | None, Col("95 % interval", ".4g")]
+    estimated: Annotated[bool, Col()]
 
 
 class Blocks:
@@ -75,6 +88,10 @@ class IdentifiedModel:
             """Covariance of the values."""
 
         @property
+        def free(self) -> Bool[Tensor, " B"]:
+            """(B,) estimated; the others are 0."""
+
+        @property
         def undetermined(self) -> tuple[str, ...]:
             """Names of those that the log does not tell."""
 
@@ -111,6 +128,27 @@ class IdentifiedModel:
     def relative_std_percent(self) -> Float[Tensor, " B"]:
         """100 std / |value| (B,); nan for parameters that are not free."""
         return 100 * self.std / self.values.abs()
+
+    @property
+    def estimates(self) -> tuple[BaseParameter, ...]:
+        """Each with its deviation and interval: rigid ones, then coefficients of effects."""
+        each = zip(
+            self.base.names, self.base.units, self.values.tolist(), self.std.tolist(),
+            self.relative_std_percent.tolist(), self.interval().tolist(), self.free.tolist(),
+            strict=True,
+        )  # fmt: skip
+        return tuple(
+            BaseParameter(
+                name=name,
+                unit=unit,
+                value=value,
+                std=std if free else None,
+                relative_std_percent=relative if free and math.isfinite(relative) else None,
+                ci95=(low, high) if free else None,
+                estimated=free,
+            )
+            for name, unit, value, std, relative, (low, high), free in each
+        )
 
     def interval(self, level: float = 0.95) -> Float[Tensor, "B 2"]:
         """Confidence intervals (B, 2) of the given level, by Student's quantile.

@@ -7,7 +7,7 @@ application to collision detection", IROS 2017. The mathematics is in `payload_f
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import get_args
+from typing import Annotated, get_args
 
 import torch
 from msgspec import UNSET, UnsetType, field, structs
@@ -42,7 +42,7 @@ from torchid.identification.result import Identification, of_parameters
 from torchid.identification.settings import Settings
 from torchid.inputs import LogLike, RobotLike, as_log, as_robot
 from torchid.log.model import Log
-from torchid.results.record import Part, Real, Record, Rows
+from torchid.results.record import Col, Ends, Part, Real, Record, Rows
 from torchid.robot.inertia import InertialParameters, move
 from torchid.robot.model import Robot, joint_list
 from torchid.robot.shapes import reach
@@ -53,6 +53,12 @@ from torchid.typing import Bool, Float, Tensor
 PARAMETER_NAMES = ("m", "mcx", "mcy", "mcz", "Jxx", "Jxy", "Jxz", "Jyy", "Jyz", "Jzz")
 
 
+QUANTITIES = (
+    ("mass", "kg"),
+    *((f"com {axis}", "m") for axis in "xyz"),
+    *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+"""Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
 _ROUGH = 0.2
 """Relative standard deviation of the mass above which first-order intervals are called rough."""
 
@@ -80,6 +86,22 @@ class Estimate(Part, frozen=True):
         return self.ci95[:, 1]
 
 
+class Quantity(Part, frozen=True):
+    """One of a payload's ten numbers, nan where the data do not tell it.
+
+    Attributes:
+        name, unit: of the number.
+        value, std: of it; both zero of what is not part of the model.
+        ci95: the 95 % interval.
+    """
+
+    name: Annotated[str, Col("quantity")]
+    unit: str
+    value: Annotated[Real, Col("value ± std", spread="std", unit_of="unit")]
+    std: Real
+    ci95: Annotated[Ends, Col("95 % interval", ".4g")]
+
+
 class Body(Part, frozen=True):
     """The payload in one frame.
 
@@ -96,6 +118,18 @@ class Body(Part, frozen=True):
     inertia_about_com: Estimate
     parameters: Estimate
 
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Mass, centre of mass and inertia about it, one by one."""
+        parts = (self.mass, self.com, self.inertia_about_com)
+        value, std = (torch.cat([getattr(x, key) for x in parts]) for key in ("value", "std"))
+        # 1e-9: zero but for rounding, as a point's inertia is
+        zero = torch.maximum(value.abs(), std) < 1e-9
+        ends = torch.cat([x.ci95 for x in parts]).masked_fill(zero[:, None], 0.0).tolist()
+        columns = (x.masked_fill(zero, 0.0).tolist() for x in (value, std))
+        each = zip(QUANTITIES, *columns, ends, strict=True)
+        return tuple(Quantity(name, unit, x, s, (a, b)) for (name, unit), x, s, (a, b) in each)
+
 
 class Change(Part, frozen=True):
     """How one parameter differs between the two runs.
@@ -106,9 +140,9 @@ class Change(Part, frozen=True):
         significant: beyond the interval of its kind.
     """
 
-    name: str
+    name: Annotated[str, Col("coefficient")]
     unit: str
-    change: Real
+    change: Annotated[Real, Col("change ± std", spread="std", unit_of="unit")]
     std: Real
     significant: bool
 

@@ -9,26 +9,22 @@ from torchid.effects.base import Effect
 from torchid.effects.registry import effect_from_record, effect_kind, on_every_joint
 from torchid.errors import TorchidError
 from torchid.identification.base_parameters import BaseParameters, all_units, coefficient_names
-from torchid.identification.model import Blocks, IdentifiedModel
+from torchid.identification.model import BaseParameter, Blocks, IdentifiedModel
 from torchid.identification.settings import Rows, Settings
-from torchid.results.record import FINITE, Ends, Model, Part, Real, RobotRecord, Values, recorded
+from torchid.results.record import (
+    FINITE,
+    Model,
+    Part,
+    Real,
+    RobotRecord,
+    Values,
+    recorded,
+)
 from torchid.results.record import Rows as Table
 from torchid.robot.inertia import PARAMETERS_PER_LINK, parameter_names
 from torchid.robot.knowledge import Knowledge, from_mapping
 from torchid.robot.model import Basis, JointType, Robot
 from torchid.typing import Bool, Float, Tensor
-
-
-class BaseParameter(Part, frozen=True, kw_only=True):
-    """A base parameter; what was not estimated has neither std nor interval."""
-
-    name: str
-    unit: str
-    value: float
-    std: float | None
-    relative_std_percent: float | None
-    ci95: Ends | None
-    estimated: bool
 
 
 class EffectRecord(Part, frozen=True, kw_only=True):

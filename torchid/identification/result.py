@@ -10,7 +10,6 @@ from torchid.effects.registry import COLUMN_KINDS
 from torchid.identification.base_parameters import BaseParameters, physical_signs
 from torchid.identification.model import IdentifiedModel
 from torchid.identification.record import (
-    BaseParameter,
     EffectRecord,
     Errors,
     FittedRows,
@@ -99,7 +98,7 @@ class Identification(IdentifiedModel, Result):
     @cached_property
     def record(self) -> IdentificationRecord:
         """As the JSON has it."""
-        base = self.base
+        base, estimates = self.base, self.estimates
         # Base parameters led by an effect's coefficient that are sums with others.
         combined = [b for b in range(base.n_rigid, len(base)) if not base.is_single(b)]
         return IdentificationRecord.of(
@@ -107,9 +106,9 @@ class Identification(IdentifiedModel, Result):
             **named_record(self.robot),
             n_base=base.n_rigid,
             basis=base.basis,
-            parameters=[self._parameter(k) for k in range(base.n_rigid)],
+            parameters=estimates[: base.n_rigid],
             effects=self._effects(),
-            combined=[self._parameter(b) for b in combined],
+            combined=[estimates[b] for b in combined],
             absorbed=base.absorbed_effects(),
             rank_gap=base.rank_gap,
             grouping=base,
@@ -117,20 +116,6 @@ class Identification(IdentifiedModel, Result):
             statistics=self.uncertainty,
             model=self.robot,
             sure=None if self.knowledge is None else to_mapping(self.knowledge),
-        )
-
-    def _parameter(self, k: int) -> BaseParameter:
-        free = bool(self.free[k])
-        relative = float(self.relative_std_percent[k])
-        low, high = self.interval()[k].tolist()
-        return BaseParameter(
-            name=self.base.names[k],
-            unit=self.base.units[k],
-            value=float(self.values[k]),
-            std=float(self.std[k]) if free else None,
-            relative_std_percent=relative if free and math.isfinite(relative) else None,
-            ci95=(low, high) if free else None,
-            estimated=free,
         )
 
     def _effects(self) -> list[EffectRecord]:

@@ -7,7 +7,7 @@ from msgspec import UNSET, UnsetType
 from torchid.gap.record import NoiseFloor, RegimeGap
 from torchid.results.cause import Cause
 from torchid.results.record import Col, Joint, Part, Real, Record, Rows
-from torchid.results.words import joints_words, regime_words
+from torchid.results.words import joints_words, regime_words, within
 
 Side = Literal["simulator", "arm"]
 
@@ -53,10 +53,10 @@ class Difference(Part, frozen=True):
         relative_percent: rms over that of the arm's signal; of positions about their mean.
     """
 
-    joint: Joint
-    rms: Real
-    noise: Real
-    relative_percent: Real
+    joint: Annotated[Joint, Col()]
+    rms: Annotated[Real, Col("RMS")]
+    noise: Annotated[Real, Col(digits=".2g")]
+    relative_percent: Annotated[Real, Col("of the arm's", unit="%")]
 
 
 class WherePair(Part, frozen=True):
@@ -108,8 +108,8 @@ class OneSided(Cause, frozen=True, kw_only=True):
         only: whether the other one has none.
     """
 
-    more: Side
-    only: bool
+    more: Annotated[Side, Col("has more")]
+    only: Annotated[bool, Col("alone")]
 
 
 class ServoDifference(Part, frozen=True):
@@ -127,7 +127,7 @@ class ServoDifference(Part, frozen=True):
             least 5 %; of what one side has alone, whether its motions need it.
     """
 
-    joint: Joint
+    joint: Annotated[Joint, Col()]
     parameter: str
     unit: str
     per_kp: bool
@@ -135,7 +135,24 @@ class ServoDifference(Part, frozen=True):
     simulated_ci95: tuple[Real, Real] | None
     real: Real
     real_ci95: tuple[Real, Real] | None
-    differs: bool
+    differs: Annotated[bool, Col()]
+
+    @property
+    def number(self) -> Annotated[str, Col("parameter")]:
+        """`damping / kp`."""
+        return self.parameter + " / kp" * self.per_kp
+
+    @property
+    def simulator(self) -> Annotated[str, Col()]:
+        """The simulator's value with its interval; a side without one does not have it."""
+        ends = self.simulated_ci95
+        return "-" if ends is None else within(self.simulated, ends, self.unit)
+
+    @property
+    def arm(self) -> Annotated[str, Col()]:
+        """The arm's, likewise."""
+        ends = self.real_ci95
+        return "-" if ends is None else within(self.real, ends, self.unit)
 
 
 class PairRecord(Record, frozen=True, kw_only=True, tag="torchid.pair/2"):

@@ -1,7 +1,6 @@
 """Tables of every diagnosis, whatever the log measures: its causes in numbers, what they mean, and
 what the log could not show."""
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,20 +9,10 @@ from torchid.gap.record import GapRecord
 from torchid.position.record import PositionRecord
 from torchid.report.cautions import number_ranges
 from torchid.report.panels import Picture
-from torchid.report.table import Table
-from torchid.results.agreement import by_cause, repeat_words
+from torchid.report.table import Table, table_of
 from torchid.results.answer import Answer, NotTestable
-from torchid.results.cause import LINK, Cause, remedy_of
-from torchid.results.words import (
-    effect_words,
-    joints_words,
-    measure,
-    number_list,
-    percent,
-    sure,
-    unit_behind,
-)
-from torchid.statistics.proportion import HALF_95
+from torchid.results.cause import LINK, remedy_of
+from torchid.results.words import effect_words, joints_words, unit_behind
 
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 
@@ -57,69 +46,23 @@ def cause_table(record: GapRecord | PositionRecord) -> Table:
         record: with an answer.
     """
     assert isinstance(record.answer, Answer)
-    rows = []
-    for cause in (*record.answer.causes, *record.answer.small):
-        removes = "-" if math.isnan(cause.share) else percent(cause.share)
-        removes += "" if math.isnan(cause.alone) else f"; by itself {percent(cause.alone)}"
-        if cause.role == "small":
-            removes = f"small: {cause.closes_rms:.2g} RMS"
-        others = "\n".join(map(effect_words, cause.ambiguous_with)) or "-"
-        again = repeat_words(cause.replication)
-        cells = (number_list(cause.at, "all"), _values(cause), others, removes)
-        rows.append((cause.name, *cells, sure(cause.how_sure), again))
-    columns = ("effect", "joints", "value", "could also be", "share", "sure", "same size in")
+    small = record.answer.small
     note = (
         "share: of the error that this cause takes away, the mean over all orders in which the "
         "causes may join (shares add up), and by itself; same size in: of the motions that can "
         "show it"
     )
-    return Table("causes of the error (value ± std)", columns, rows, "lllp", note)
-
-
-def _values(cause: Cause) -> str:
-    """Numbers of a cause, a line each, and its shapes in brackets."""
-    values = []
-    # Numbers of a cause that are listed
-    most_sizes = 12
-    for size in sorted(cause.sizes, key=lambda s: not s.determined)[:most_sizes]:
-        change = abs(size.value - (size.was or 0.0))
-        unsure = size.std is not None and change < HALF_95 * size.std
-        words = size.named if size.determined else size.name
-        values.append(words + (", not determined" if unsure else ""))
-    if not values:
-        values = ["see the corrected model" if cause.effect == LINK else "-"]
-    values += ["..."] if len(cause.sizes) > most_sizes else []
-    if cause.shape and cause.role != "small":
-        sizes = ((cause.parameters[name], name) for name in cause.shape)
-        numbers = [
-            f"{name} = {x:.4g} {unit_behind(cause.unit[name])}".rstrip()
-            for x, name in sizes
-            if isinstance(x, int | float)
-        ]
-        values.append(f"({', '.join(numbers)})")
-    return "\n".join(values)
+    columns = f"name at {'role ' * bool(small)}numbers ambiguous_with share alone how_sure"
+    causes = (*record.answer.causes, *small)
+    return table_of("causes of the error", causes, f"{columns} replication", note)
 
 
 def agreement_table(record: GapRecord | PositionRecord) -> Table:
-    """What each run alone wants of each cause: of many runs those that differ."""
-    rows = []
-    # Runs that are listed of a cause
-    most_runs = 12
-    for runs in by_cause(record.agreement):
-        one = runs[0]
-        first = sorted(runs, key=lambda r: r.verdict != "differs")
-        listed_runs = runs if len(runs) <= most_runs else first[:most_runs]
-        each = [
-            f"{r.run}: {r.words if r.wanted is not None else '-'}{' *' * (r.verdict == 'differs')}"
-            for r in listed_runs
-        ]
-        each += [f"and {len(runs) - most_runs} more"] if len(runs) > most_runs else []
-        merged = measure(one.merged, one.merged_std, unit_behind(one.unit))
-        name = f"{one.cause}, {one.parameter}"
-        rows.append((name, "\n".join(each), merged, f"{one.spread:.2g}"))
-    note = "* contradicts most of the runs; -: this run cannot tell; spread: beyond their own std"
-    columns = ("cause", "value by run, from it alone (± std)", "of all runs", "spread")
-    return Table("agreement of the runs", columns, rows, "pprr", note)
+    """What each run alone wants of each cause."""
+    note = "spread: between runs, beyond their own std"
+    columns = "cause parameter run value verdict merged spread"
+    # 60: rows that are printed
+    return table_of("agreement of the runs", record.agreement, columns, note, most=60)
 
 
 def meaning_table(record: GapRecord | PositionRecord) -> Table:

@@ -5,6 +5,4 @@ INK, BLUE, ORANGE, GREEN, RED, GREY, GRID = (
 )  # fmt: skip
 BEFORE, AFTER = "#d55e00", "#0072b2"
 """Vermilion and blue of Okabe and Ito: told apart by every kind of colour vision."""
-REAL, KEEPS, BREAKS = INK, GREEN, RED
-"""Of the real arm, of feasible and of infeasible sets."""
-PURPLE, TEAL, BROWN = "#8250df", "#1b7c83", "#7d4e00"
+PURPLE, TEAL = "#8250df", "#1b7c83"

@@ -20,9 +20,10 @@ from torchid.fleet.comparison import (
 from torchid.log.table import natural
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, RED, TEAL
 from torchid.report.panels import Figure, finish, panel, rows_of
-from torchid.report.table import Report, Table, cell, cells, joint_numbers, table_of
+from torchid.report.table import Report, Table, cell, cells, joint_table, table_of
 from torchid.results.words import count, effect_words, listed, short, unit_behind
 from torchid.statistics.proportion import HALF_95
+from torchid.typing import Tensor
 
 NOTES = {
     "identifications": "A value without ± was held there by the fit",
@@ -192,15 +193,13 @@ def torque_table(result: Comparison) -> Table | None:
     t = result.torque
     if t is None:
         return None
-    rows = [("torque", t.size), ("std between models", t.spread)]
+    rows: list[tuple[str, Tensor]] = [("torque", t.size), ("std between models", t.spread)]
     if t.claimed is not None:
         rows.append(("std their covariances claim", t.claimed))
     if t.errors is not None:
-        errors = zip(result.labels, t.errors, strict=True)
-        rows += [(f"measured - {label}", e) for label, e in errors]
-    title = f"torque on {t.source}, RMS per joint [N m; N]"
-    texts = [(name, *cells(values)) for name, values in rows]
-    return Table(title, ("", *joint_numbers(len(t.size))), texts, "p")
+        names = (f"measured - {label}" for label in result.labels)
+        rows += zip(names, t.errors, strict=True)
+    return joint_table(f"torque on {t.source}, RMS per joint [N m; N]", rows)
 
 
 def position_table(result: Comparison) -> Table | None:
@@ -208,13 +207,9 @@ def position_table(result: Comparison) -> Table | None:
     if result.positions is UNSET:
         return None
     own = result.positions
-    rows = [
-        (f"{label}, {name}", *cells(values))
-        for name, errors in (("whole", own.whole), ("2 s", own.windows))
-        for label, values in zip(result.labels, errors, strict=True)
-    ]
-    title = f"position errors on {own.source}, RMS per joint [{own.unit}]"
-    return Table(title, ("", *joint_numbers(own.whole.shape[1])), rows, "p")
+    names = (f"{label}, {part}" for part in ("whole", "2 s") for label in result.labels)
+    rows = zip(names, (*own.whole, *own.windows), strict=True)
+    return joint_table(f"position errors on {own.source}, RMS per joint [{own.unit}]", rows)
 
 
 COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, TEAL, GREY, INK)

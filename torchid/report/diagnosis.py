@@ -1,7 +1,6 @@
 """A diagnosis for people, the same for every kind of log: the answer, then the evidence for it; and
 its page: one screen with the answer, and below it what it rests on, which folds."""
 
-import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -24,12 +23,10 @@ from torchid.report.friction import friction_figure, friction_picture
 from torchid.report.over_time import NARROW, OverTime, motion_over_time, torque_over_time
 from torchid.report.page.answer import first_steps
 from torchid.report.panels import Figure, Figures, Picture
-from torchid.report.skeleton import PHONE, skeleton_of
-from torchid.report.table import Code, Origin, Page, Report, Section, Table
+from torchid.report.table import Code, Origin, Page, Report, Section, Table, table_of
 from torchid.results.agreement import agreement, disagreement
 from torchid.results.answer import Answer, Diagnosis, DiagnosisRecord
-from torchid.results.cause import MOST_SIZES
-from torchid.results.words import count, digits, percent, span, sure
+from torchid.results.words import count, digits, percent, span
 
 STATUS = {
     "no_gap": "no gap",
@@ -45,17 +42,12 @@ STATUS = {
 
 def suspects_table(answer: Answer) -> Table:
     """The likeliest causes that are not sure enough for a name."""
-    rows = [
-        (f"{c.name} {c.place}".strip(), ", ".join(s.named for s in c.sizes[:MOST_SIZES]),
-         sure(c.how_sure), "" if math.isnan(c.share) else percent(c.share), c.remedy)
-        for c in answer.suspects
-    ]  # fmt: skip
-    columns = ("suspect", "value ± std", "sure", "in the model", "what would settle it")
     title = (
-        "suspects: the likeliest causes that are not sure enough; the share of the error that they "
-        "take where the corrected model holds them, for the data need a term there"
+        "suspects: the likeliest causes that are not sure enough, and what would settle them; the "
+        "share of the error that they take where the corrected model holds them, for the data need "
+        "a term there"
     )
-    return Table(title, columns, rows, "lrrrp")
+    return table_of(title, answer.suspects, "name at numbers how_sure share remedy")
 
 
 def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") -> Report:
@@ -76,7 +68,8 @@ def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") ->
         )
     rests_on, odd = evidence(record), disagreement(record.agreement, most=1)
     warnings = (*([f"Caution: {odd}"] if odd else []), *record.warnings)
-    parts = (part for section in _sections(record) for part in section.parts)
+    live = result if isinstance(result, TorqueDiagnosis | PositionDiagnosis) else None
+    parts = [part for section in _sections(record, live) for part in section.parts]
     tables = (part for part in parts if isinstance(part, Table))
     return Report(
         screen=Screen(
@@ -89,8 +82,8 @@ def report_of_diagnosis(result: Diagnosis | DiagnosisRecord, model: str = "") ->
         ],
         warnings=warnings,
         last=model,
-        figures=figures(result),
-        page=partial(page, result, model=model) if isinstance(result, Diagnosis) else None,
+        figures={part.name: part.draw for part in parts if isinstance(part, Picture)},
+        page=None if live is None else partial(page, live, model=model),
     )  # fmt: skip
 
 
@@ -115,7 +108,6 @@ def page(result: Diagnosis, origin: Origin, model: str = "") -> Page:
         origin=origin,
         answer=answer,
         band=band,
-        picture=_arm_picture(result),
         advice=(
             ("What to do first", [step[:1].upper() + step[1:] for step in steps]),
             ("Which model to use", [model or model_words(answer, None, "the model as given")]),
@@ -153,34 +145,15 @@ def facts(result: TorqueDiagnosis | PositionDiagnosis) -> list[tuple[str, str]]:
     return out
 
 
-def _arm_picture(result: TorqueDiagnosis | PositionDiagnosis) -> Picture | None:
-    """The robot with its errors and causes at its joints."""
-    if isinstance(result, TorqueDiagnosis) and not result.traces:
-        return None
-    errors = ", ".join(
-        f"joint {j.joint + 1} {digits(j.before)} to {digits(j.after)}"
-        for j in result.answer.joints
-        if j.before == j.before
-    )
-    return Picture(
-        "robot",
-        "The robot in a pose of this log. The whole disc of a joint is its error, the solid part "
-        f"what remains with the causes [{result.answer.unit}].",
-        f"The robot by its joints. Errors before and after: {errors}.",
-        partial(skeleton_of, result),
-        narrow=partial(skeleton_of, result, PHONE),
-    )
-
-
 def _signals(name: str, signals: OverTime, caption: str) -> Picture | None:
-    """A figure over time, for desk and phone, which zooms."""
+    """A figure over time, for desk and phone."""
     if not signals.runs:
         return None
     first = f"{signals.quantity} of joint {signals.joints[signals.order[0]]}"
     models = " and of both models" if signals.models else ""
     alt = f"Over time: {first}, of the arm{models}."
     narrow = partial(signals.draw, None, NARROW)
-    return Picture(name, caption, alt, signals.draw, narrow=narrow, numbers=signals.numbers)
+    return Picture(name, caption, alt, signals.draw, narrow=narrow)
 
 
 def _sections(
@@ -265,23 +238,5 @@ def kinds(result: Diagnosis | DiagnosisRecord) -> Figures:
             drawn["friction"] = partial(friction_figure, result)
     if isinstance(result, PositionDiagnosis) or "torque" in drawn:
         assert isinstance(result, TorqueDiagnosis | PositionDiagnosis)
-        drawn["robot"] = partial(skeleton_of, result)
         drawn["motion"] = motion_over_time(result).draw
     return drawn
-
-
-def figures(result: Diagnosis | DiagnosisRecord) -> Figures:
-    """What draws the figure of each file, by their names: those of `kinds`, and the worst joints'
-    apart."""
-    record, drawn = result.record, dict(kinds(result))
-    motion, of_joint = drawn.pop("motion", None), drawn.pop("gap", None)
-    drawn.pop("robot", None)
-    if isinstance(record, GapRecord):
-        worst = gap_figures.worst_joints(record)
-        if not gap_figures.stands_out(record):
-            del drawn["where"]
-    else:
-        assert isinstance(record, PositionRecord)
-        worst, of_joint = position.worst_joints(record), motion
-    each = {f"gap_joint_{j + 1}": partial(of_joint, j) for j in worst} if of_joint else {}
-    return {**drawn, **each}

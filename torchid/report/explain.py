@@ -7,11 +7,10 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from torchid.report.brief import Screen
-from torchid.report.table import Report, Table
+from torchid.report.table import Report, Table, plain_table
 from torchid.results.answer import Answer
 from torchid.results.files import contents, load, parsed, require_result
 from torchid.results.record import Record
-from torchid.results.words import short, value_words
 
 
 class _StoredTable(msgspec.Struct):
@@ -85,17 +84,6 @@ def report_of_record(record: Record) -> Report:
 
     if isinstance(record, DiagnosisRecord):
         return diagnosis.report_of_diagnosis(record)
-    rows = record.table.plain()
-    columns = list(rows[0]) if rows else []
-    # 60: of a cell
-    # Of a table of entries
-    most_rows = 60
-    cells = [
-        [short(value_words(row.get(name), ".4g"), 60) for name in columns]
-        for row in rows[:most_rows]
-    ]
-    more = f"{len(rows) - most_rows} more rows are in the file." if len(rows) > most_rows else ""
-    words = [name.replace("_", " ") for name in columns]
-    table = Table(record.schema, words, cells, "p" * len(words), more)
+    table = plain_table(record.schema, record.table.plain())
     warnings = getattr(record, "warnings", ())
     return Report(verdict=repr(record), parts=[table], warnings=warnings)

@@ -17,7 +17,7 @@ from torchid.export.mjcf import attributes_of
 from torchid.export.projection import Kept
 from torchid.export.randomisation import Randomisation
 from torchid.feasibility.margins import inertia_eigenvalues
-from torchid.report.table import Report, Table, cells, joint_numbers, table_of
+from torchid.report.table import Report, Table, joint_table, plain_table, table_of
 from torchid.results.words import count, effect_words, joints_words, listed, percent
 from torchid.robot.model import JointType, Robot, joint_unit, torque_unit
 from torchid.simulation.servo import Servos
@@ -82,8 +82,8 @@ def error_table(done: Correction, title: str, given: str, beside: str) -> Table:
         (f"the file alone, {judged.by}", judged.engine),
         (f"with {beside} at run time", judged.run_time),
     ]
-    errors = [(name, *cells([*v.tolist(), float(v.nanmean())], ".1f")) for name, v in rows]
-    return Table(title, ("", *joint_numbers(done.nominal.n), "mean"), errors, "p")
+    errors = [(name, [*v.tolist(), float(v.nanmean())]) for name, v in rows]
+    return joint_table(title, errors, ".1f", last=("mean",))
 
 
 def servo_tables(done: Correction) -> list[Table]:
@@ -104,7 +104,7 @@ def correction_tables(done: Correction) -> list[Table]:
     turns = (kind is JointType.REVOLUTE for kind in nominal.joint_types)
     units = torch.tensor([math.degrees(1) if turn else 1e3 for turn in turns], dtype=torch.float64)
     motion = [
-        (f"{one.horizon:g} s", name, *cells(away * units, ".2g"))
+        (f"after {one.horizon:g} s, {name}", away * units)
         for one in judged.forward
         for name, away in (
             (_given(nominal), one.nominal), ("all effects", one.full), ("the file", one.engine),
@@ -115,13 +115,13 @@ def correction_tables(done: Correction) -> list[Table]:
     assert projection is not None
     kept = {"kept": [_kept(one, projection.to) for one in projection.kept]}
     band = f"error of the torque, while a joint moves, below {judged.band:.3g} Hz [%]"
-    after = "simulated motion, given the measured torque: error after a while [deg; mm]"
+    after = "error of the simulated motion, given the measured torque [deg; mm]"
     lost = (
         f"effects without a field, which stay beside the file (lost: RMS, {torque_unit(nominal)})"
     )
     return [
         error_table(done, band, _given(nominal), "effects"),
-        Table(after, ("after", "model", *joint_numbers(nominal.n)), motion, "rp"),
+        joint_table(after, motion, ".2g"),
         table_of(lost, projection.kept, beside=kept),
         _bodies(projection.robot, nominal),
     ]
@@ -143,22 +143,16 @@ def _kept(one: Kept, to: str) -> str:
 
 def _bodies(robot: Robot, nominal: Robot) -> Table:
     """Masses, how far centres of mass moved, and inertias, over the nominal ones."""
-    new = robot.require_parameters("a correction")
-    old = nominal.parameters
-    rows = []
+    new, old, links = robot.require_parameters("a correction"), nominal.parameters, []
     for i, name in enumerate(nominal.link_names):
-        cells = ["-", "-", "-"]
+        link: dict[str, object] = {"link": i + 1, "name": name, "mass [kg]": float(new.mass[i])}
         if old is not None and float(old.mass[i]) > 0:
-            moved = float((new.com[i] - old.com[i]).norm())
             ratios = inertia_eigenvalues(new)[i] / inertia_eigenvalues(old)[i].clamp(min=1e-12)
-            low, high = float(ratios.min()), float(ratios.max())
-            heavier = f"{float(new.mass[i] / old.mass[i]):.2f}"
-            cells = [heavier, f"{1e3 * moved:.0f}", f"{low:.2f} - {high:.2f}"]
-        rows.append((str(i + 1), name, f"{float(new.mass[i]):.3g}", *cells))
-    columns = (
-        "", "link", "mass [kg]", "over nominal", "centre moved [mm]", "inertias over nominal"
-    )  # fmt: skip
-    return Table("bodies in the file", columns, rows, "rp")
+            link["over nominal"] = float(new.mass[i] / old.mass[i])
+            link["centre moved [mm]"] = 1e3 * float((new.com[i] - old.com[i]).norm())
+            link["inertias over nominal"] = [float(ratios.min()), float(ratios.max())]
+        links.append(link)
+    return plain_table("bodies in the file", links)
 
 
 def report_of_randomisation(done: Randomisation, files: Sequence[str]) -> Report:

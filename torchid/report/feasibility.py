@@ -4,18 +4,14 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 
-from rich.text import Text
-
 from torchid.extraction.convex.nearest import NearestSets
 from torchid.feasibility.margins import LINK_CONDITIONS
 from torchid.feasibility.plausibility import excess_percent
 from torchid.feasibility.record import Check
-from torchid.report.table import Cell, Report, Table, cells, joint_numbers
+from torchid.report.table import Report, Table, joint_table, table_of
 from torchid.results.words import listed
 from torchid.robot.model import JointType
 
-NEAR = 0.05
-"""Degree below which a condition is shown as near its boundary."""
 MOST_TABLES = 3
 """Sets that have a table each; more are one row a set."""
 DEGREE = (
@@ -36,10 +32,20 @@ def report_of_check(check: Check, repaired: NearestSets | None, warnings: Sequen
 
 def tables(check: Check) -> list[Table]:
     """A table of links a set, or one row a set where there are many."""
-    if len(check.sets) > MOST_TABLES:
-        return [_set_table(check)]
-    makers = (_link_table, _coefficient_table)
-    return [make(check, k) for k in range(len(check.sets)) for make in makers]
+    sets = check.record.sets
+    if len(sets) > MOST_TABLES:
+        title = f"{len(sets)} sets of {check.robot.name}"
+        # 50: rows that are printed
+        columns = "id feasible degree total_mass plausibility reasons"
+        return [table_of(title, sets, columns, most=50)]
+    boxes = "com_margins " * bool(check.conditions.com_box.isfinite().any())
+    shapes = "shape_margin " * check.round_shapes
+    columns = (
+        f"link name mass inertias triangle_excess_percent centre {boxes}{shapes}degree violated"
+    )
+    links = [table_of(f"links of {one.id}", one.links, columns) for one in sets]
+    effects = [_coefficient_table(check, k) for k in range(len(sets))]
+    return [table for both in zip(links, effects, strict=True) for table in both]
 
 
 def headline(check: Check) -> str:
@@ -119,78 +125,15 @@ def _violations(check: Check, k: int) -> list[str]:
     return [*phrases, *negative]
 
 
-def _coloured(text: str, degree: float, violated: bool) -> Text:
-    if violated or math.isnan(degree):
-        return Text(text, "red")
-    return Text(text, "yellow" if degree < NEAR else "")
-
-
-def _link_table(check: Check, k: int) -> Table:
-    feasibility = check.feasibility
-    boxes = bool(check.conditions.com_box.isfinite().any())
-    columns = [
-        "", "link", "mass\n[kg]", "principal inertias\n[kg m²]", "largest over sum\nof others [%]",
-        "CoM\n[mm]",
-    ]  # fmt: skip
-    columns += ["CoM to box\n[mm]"] * boxes + ["to shape\n[mm]"] * check.round_shapes + ["degree"]
-    rows = []
-    for i, name in enumerate(check.robot.link_names):
-        degrees, bad = feasibility.degrees[k, i].tolist(), feasibility.violated[k, i].tolist()
-        margins = feasibility.margins[k, i].tolist()
-        eigenvalues = check.eigenvalues[k, i].tolist()
-        excess = excess_percent(eigenvalues)
-        texts: list[Cell] = [
-            _coloured(f"{float(check.sets.parameters.mass[k, i]):.4g}", degrees[0], bad[0]),
-            _coloured(" ".join(f"{v:.3g}" for v in eigenvalues), degrees[1], bad[1]),
-            _coloured("-" if excess is None else f"{100 + excess:.3g}", degrees[2], bad[2]),
-            " ".join(f"{1e3 * c:.1f}" for c in check.sets.parameters.com[k, i].tolist()),
-        ]
-        if boxes:
-            # Of the three sides of the box the nearest one is shown.
-            c = min((3, 4, 5), key=lambda column: degrees[column])
-            known = math.isfinite(margins[c])
-            text = f"{1e3 * margins[c]:.1f} {LINK_CONDITIONS[c][-1]}" if known else "-"
-            texts.append(_coloured(text, degrees[c], bad[c]))
-        if check.round_shapes:
-            texts.append(_coloured(f"{1e3 * margins[6]:.1f}", degrees[6], bad[6]))
-        least = min(degrees)
-        degree = f"{least:.2g}" if math.isfinite(least) else "no body"
-        rows.append((str(i + 1), name, *texts, _coloured(degree, least, any(bad))))
-    title = f"links of {check.sets.ids[k]} (red: violated, yellow: degree below {NEAR:g})"
-    return Table(title, columns, rows, "ll")
-
-
 def _coefficient_table(check: Check, k: int) -> Table:
     """Coefficients of effects, joints as columns."""
-    feasibility, n = check.feasibility, check.robot.n
-    rows: dict[str, list[Cell]] = {}
+    rows: dict[str, list[float]] = {}
     named = [(c, effect.joint) for effect in check.sets.effects for c in effect.coefficients]
-    for e, (c, joint) in enumerate(named):
+    for (c, joint), value in zip(named, check.sets.coefficients[k].tolist(), strict=True):
         slides = check.robot.joint_types[joint] is JointType.PRISMATIC
-        name = f"{c.name} [{c.unit_for(slides)}]"
-        row = rows.setdefault(name, [name, *["-"] * n])
-        degree = float(feasibility.coefficient_degrees[k, e])
-        value = f"{float(check.sets.coefficients[k, e]):.4g}"
-        row[joint + 1] = _coloured(value, degree, bool(feasibility.violated_coefficients[k, e]))
-    columns = ("", *joint_numbers(n))
-    return Table("coefficients of the effects, by joint", columns, list(rows.values()), "l")
-
-
-def _set_table(check: Check) -> Table:
-    """One row a set."""
-    feasibility, count = check.feasibility, len(check.sets)
-    feasible, degrees = feasibility.feasible.tolist(), feasibility.degree.tolist()
-    masses = check.sets.parameters.mass.sum(-1).tolist()
-    rows = []
-    for k, name in enumerate(check.sets.ids):
-        said = "yes" if feasible[k] else Text("no", "red")
-        degree = _coloured(f"{degrees[k]:.2g}", degrees[k], not feasible[k])
-        findings, why = str(len(check.findings[k]) or "-"), ", ".join(feasibility.reasons(k)) or "-"
-        rows.append((name, said, degree, f"{masses[k]:.4g}", findings, why))
-    columns = ("set", "feasible", "degree", "total mass [kg]", "findings", "violated")
-    title = f"{count} sets of {check.robot.name}"
-    # 50: rows of the table of sets
-    return Table(title, columns, rows, "lrrrrp", most=50)
+        row = rows.setdefault(f"{c.name} [{c.unit_for(slides)}]", [math.nan] * check.robot.n)
+        row[joint] = value
+    return joint_table("coefficients of the effects, by joint", rows.items(), ".4g")
 
 
 def findings_lines(check: Check) -> tuple[str, ...]:
@@ -208,12 +151,9 @@ def findings_lines(check: Check) -> tuple[str, ...]:
 
 def nearest_table(nearest: NearestSets) -> Table:
     """What the nearest feasible sets cost in torque."""
-    changes = (100 * nearest.torque_change_relative).tolist()
-    rows = []
-    for name, status, feasible, row in zip(
-        nearest.sets.ids, nearest.status, nearest.feasible.tolist(), changes, strict=True
-    ):
-        rows.append((name, status if feasible else Text(status, "red"), *cells(row)))
-    joints = joint_numbers(nearest.torque_change.shape[1])
+    names = (
+        f"{one}, {status}" for one, status in zip(nearest.sets.ids, nearest.status, strict=True)
+    )
+    rows = zip(names, 100 * nearest.torque_change_relative, strict=True)
     title = "nearest feasible sets: change of the joints' torques, % of their own rms"
-    return Table(title, ["set", "status", *joints], rows, "ll")
+    return joint_table(title, rows)

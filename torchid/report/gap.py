@@ -1,7 +1,6 @@
 """A diagnosis of torques as tables and pictures for people; all of it from its record, but for
 figures of torque over time."""
 
-import math
 from functools import partial
 
 from torchid.gap.diagnosis import TorqueDiagnosis
@@ -12,7 +11,6 @@ from torchid.report.friction import friction_table
 from torchid.report.gap_figures import CLEAR, clear_regimes, excess_words, stands_out
 from torchid.report.panels import Picture
 from torchid.report.table import Table, table_of
-from torchid.results.record import as_plain
 from torchid.results.words import (
     digits,
     effect_words,
@@ -20,8 +18,6 @@ from torchid.results.words import (
     listed,
     percent,
     regime_words,
-    span,
-    value_words,
 )
 from torchid.robot.model import Robot, joint_unit, torque_unit
 
@@ -47,26 +43,19 @@ def model_of(record: GapRecord) -> Robot:
 def joint_table(record: GapRecord) -> Table:
     """Joints: what the model lacks as given and corrected, beside the noise, and the regimes that
     hold more than their share of it; in the note, what closes the gap."""
-    far, robot, joints = record.how_far.per_joint, model_of(record), record.where.joints
-    levels = [(far[g.joint].before, far[g.joint].after, *g.noise_floor_rms) for g in joints]
-
-    def sizes(unit: str, before: float, after: float, *noise: float) -> tuple[str, str, str]:
-        return f"{digits(before)} {unit}", digits(after), span(noise, to=" - ")
-
-    rows = [
-        (
-            str(gap.joint + 1), *sizes(joint_unit(robot, gap.joint), *level), percent(gap.share),
-            _regimes(record, gap.joint),
-        )
-        for gap, level in zip(joints, levels, strict=True)
-    ]  # fmt: skip
-    # Newtons and newton metres have no sum.
-    if unit := torque_unit(robot, ""):
-        rows.append(("all", *sizes(unit, *map(math.hypot, *levels)), "", ""))
-    regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    title = f"RMS of the torque the model lacks, below {digits(record.band_hz)} Hz"
-    columns = ("joint", "as given", "corrected", "noise", "share", regimes)
-    return Table(title, columns, rows, "prrrrp", budget_words(record))
+    unit, joints = torque_unit(model_of(record)), record.how_far.per_joint
+    shares = {gap.joint: percent(gap.share) for gap in record.where.joints}
+    return table_of(
+        f"RMS of the torque the model lacks [{unit}], below {digits(record.band_hz)} Hz",
+        joints,
+        note=budget_words(record),
+        beside={
+            "share": [shares[one.joint] for one in joints],
+            f"holds more than its share (excess [95 %], p < {CLEAR:g})": [
+                _regimes(record, one.joint) for one in joints
+            ],
+        },
+    )
 
 
 def _regimes(record: GapRecord, joint: int) -> str:
@@ -128,16 +117,8 @@ def remarks(record: GapRecord) -> list[str]:
 
 def experiment_table(record: GapRecord) -> Table:
     """What to record next."""
-    experiment, entries = record.next_experiment, {}
-    if experiment is not None:
-        names = [effect_words(name) for name in experiment.separates]
-        entries = {**as_plain(experiment), "separates": names}
-    rows = [
-        (key.replace("_", " "), value_words(value, ".4g"))
-        for key, value in entries.items()
-        if value is not None
-    ]
-    return Table("next experiment", ("", " "), rows, "lp")
+    experiment = record.next_experiment
+    return table_of("next experiment", [] if experiment is None else [experiment])
 
 
 def joint_pictures(d: TorqueDiagnosis) -> list[Picture]:
@@ -171,7 +152,7 @@ def where_picture(record: GapRecord) -> Picture | None:
     return Picture(
         "where",
         "Rows are joints, columns kinds of motion: a blue cell holds more of the joint's error "
-        "than its share of the time. The bars are the joints' shares of all of it. Joint "
+        "than its share of the time. Beside a joint stands its share of all of it. Joint "
         f"{worst + 1} holds {shares[worst]} of the error, "
         f"{when if clear else 'at no time more than at others'}.",
         f"Map of joints and kinds of motion. Shares of the error: {each}.",

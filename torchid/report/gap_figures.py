@@ -14,7 +14,7 @@ from torchid.report.panels import (
     SMALL,
     Figure,
     finish,
-    map_with_bars,
+    map_with_words,
     panel,
     rows_of,
 )
@@ -58,8 +58,7 @@ def worst_joints(record: GapRecord, most: int = WORST) -> list[int]:
 
 
 def map_figure(record: GapRecord) -> Figure:
-    """Joints x regimes: excess as colour and number where clear, faint elsewhere; the joint's
-    share of the gap beside it."""
+    """Joints x regimes: excess as colour and number where clear, faint elsewhere."""
     regimes = get_args(Regime)
     joints = [gap.joint for gap in record.where.joints]
     clear, cells = np.zeros((len(joints), len(regimes))), {}
@@ -70,20 +69,16 @@ def map_figure(record: GapRecord) -> Figure:
         if r in clear_regimes(record, r.joint):
             clear[y, x] = r.excess
             cells[y, x] = (percent(r.excess).replace(" ", "\u2009"), {"fontweight": "bold"})
-    shares = [gap.share for gap in record.where.joints]
-    words = [f" {percent(share)}" for share in shares]
-    figure, bar = map_with_bars(
+    figure, bar = map_with_words(
         f"{record.robot}: where the gap lies",
         f"numbers: excess where p < {CLEAR:g}, corrected over all cells; "
         "dots: nothing beyond chance",
-        [f"joint {j + 1}" for j in joints],
+        [f"joint {gap.joint + 1}, {percent(gap.share)}" for gap in record.where.joints],
         [regime_words(r) for r in regimes],
         clear,
         cells,
         "share of the joint's gap beyond\nthe regime's share of time",
-        ("share of the gap", shares, words, BEFORE, 1.3),
         most=1.0,
-        width=9.6,
     )
     bar.ax.yaxis.set_major_formatter(lambda v, _: f"{100 * v:.0f} %")
     return figure

@@ -1,17 +1,14 @@
 """An identification for people: tables, figures and page; and a payload."""
 
 import math
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from itertools import count
 
 import numpy as np
-import torch
 
 from torchid.errors import TorchidError
 from torchid.identification.identify import Identification
-from torchid.identification.payload import Body, Payload
+from torchid.identification.payload import Payload
 from torchid.identification.record import Errors, IdentificationRecord
 from torchid.identification.result import UNEXPLAINED
 from torchid.identification.settings import Rows
@@ -21,8 +18,8 @@ from torchid.report.cautions import caution_section
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
 from torchid.report.page.document import Origin, Page
 from torchid.report.panels import Figure, Figures, Picture, finish, joint_rows, note, panel, rows_of
-from torchid.report.table import Report, Section, Table, cells, joint_numbers
-from torchid.results.words import listed, number_list, short, unit_words
+from torchid.report.table import Report, Section, Table, joint_table, table_of
+from torchid.results.words import effect_words, joints_words, listed, short, unit_words
 from torchid.robot.model import joint_unit
 
 
@@ -32,18 +29,60 @@ def report_of_identification(result: Identification) -> Report:
         parts=tables(result),
         warnings=result.warnings,
         verdict=verdict(result),
-        figures=figures(result),
+        figures={one.name: one.draw for one in _pictures(result)},
         page=partial(identification_page, result),
     )
 
 
 def tables(result: Identification) -> list[Table]:
-    """Base parameters, effects per joint, errors per joint."""
+    """Base parameters, coefficients of effects, errors per joint."""
     n, condition = result.base.n_rigid, f"{result.scaled_condition_number:.0f}"
-    what = f"{n} base parameters of {result.robot.name}"
-    title = f"{what} (condition number {condition} with scaled columns)"
-    first = coefficient_table(result, range(n), title)
-    return [first, *effect_tables(result), error_table(result)]
+    shapes = [
+        f"{s.name} = {x:.4g} {unit_words(s.unit)} of {effect_words(e.name)}, "
+        f"{joints_words(e.joints)}"
+        for e in result.effects
+        for s, x in zip(e.shapes, e.shape_values, strict=True)
+    ]
+    sums = result.base.absorbed_effects()
+    notes = (
+        ("Standard deviations from a block jackknife: neighbouring residuals are alike.", True),
+        (f"In sums with base parameters: {listed(sums)}.", sums),
+        (f"Shapes, given or searched: {'; '.join(shapes)}.", shapes),
+    )
+    return [
+        table_of(
+            f"{n} base parameters of {result.robot.name} (condition number {condition} with scaled "
+            "columns)",
+            result.estimates[:n],
+        ),
+        table_of(
+            "coefficients of the effects",
+            result.estimates[n:],
+            note=" ".join(text for text, said in notes if said),
+        ),
+        error_table(result),
+    ]
+
+
+def error_table(result: Identification) -> Table:
+    """Relative errors per joint, in percent, and RMSE."""
+    unit = "; ".join(dict.fromkeys(joint_unit(result.robot, j) for j in range(result.robot.n)))
+    rows: list[tuple[str, list[float]]] = []
+    for data, errors in (("fit", result.fit), ("held out", result.held_out)):
+        if errors is None:
+            continue
+        for name, percent in (
+            ("all", errors.relative_percent),
+            ("moving", errors.relative_percent_moving),
+            ("raw torque", errors.relative_percent_raw),
+        ):
+            rows.append((f"{data}, {name}", [*percent.tolist(), float(percent.mean())]))
+        rows.append((f"{data}, RMSE [{unit}]", errors.rmse.tolist()))
+    band = result.settings.error_cutoff or result.cutoff
+    note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
+    how = f"{note}; moving: |dq| > {RESTING:g}, less in slow logs"
+    title = f"torque error, 100 ||tau - model|| / ||tau||, per joint ({how})"
+    return joint_table(title, rows, last=("mean",))
 
 
 def shown_errors(result: Identification) -> tuple[Errors, bool]:
@@ -58,78 +97,6 @@ def poor_names(result: Identification) -> list[str]:
     # 100.0: half-width of the 95 % interval in % of the value: beyond it, zero is possible
     bad = [k for k in range(len(result.base)) if bool(result.free[k]) and float(half[k]) > 100.0]
     return [result.base.names[k] for k in sorted(bad, key=lambda k: -float(half[k]))]
-
-
-def effect_tables(result: Identification) -> list[Table]:
-    """Coefficients with standard deviations: of effects on every joint with joints as rows, of
-    those at some places one a row, with the shapes."""
-    base, robot = result.base, result.robot
-    slides = [joint_unit(robot, j) == "N" for j in range(robot.n)]
-    position = {k: b for b, k in enumerate(base.independent)}
-
-    def value(k: int) -> str:
-        """The coefficient in column k of all parameters."""
-        b = position.get(k)
-        if b is None or not base.is_single(b):
-            return "in a sum"
-        if not bool(result.free[b]):
-            return f"0 ({_held(result, b)})"
-        return f"{float(result.values[b]):.4g} ± {float(result.std[b]):.2g}"
-
-    # Each effect with the texts of its coefficients.
-    k = count(base.n_rigid_parameters)
-    fitted = [(e, [value(next(k)) for _ in e.coefficients]) for e in result.effects]
-    counts = Counter(type(effect) for effect in result.effects)
-    everywhere = [kind for kind, n in counts.items() if n == robot.n and not kind.shapes]
-    if len(set(slides)) > 1:
-        everywhere = []  # their units are not those of the column
-    columns = [
-        f"{c.meaning}\n{c.name} [{c.unit_for(slides[0])}]"
-        for kind in everywhere
-        for c in kind.coefficients
-    ]
-    rows = []
-    for j in range(robot.n if everywhere else 0):
-        own = {type(e): texts for e, texts in fitted if e.joints == (j,)}
-        rows.append((str(j + 1), *(text for kind in everywhere for text in own[kind])))
-    lines: list[tuple[str, ...]] = []
-    for effect, texts in fitted:
-        if type(effect) in everywhere:
-            continue
-        place = number_list(effect.joints)
-        for c, text in zip(effect.coefficients, texts, strict=True):
-            unit = c.unit_for(slides[effect.joints[0]])
-            lines.append((effect.name, place, c.name, text, unit))
-        for s, number in zip(effect.shapes, effect.shape_values, strict=True):
-            lines.append((effect.name, place, s.name, f"{number:.4g}", s.unit))
-    heads = ("effect", "joint", "", "value ± std", "unit")
-    title = "effects at their joints (shapes without a std are given, or were searched)"
-    return [
-        Table("effects on the joints (value ± std)", ("joint", *columns), rows, "p"),
-        Table(title, heads, lines, "lllrl"),
-    ]
-
-
-def error_table(result: Identification) -> Table:
-    """Relative errors per joint, in percent, and RMSE."""
-    unit = "; ".join(dict.fromkeys(joint_unit(result.robot, j) for j in range(result.robot.n)))
-    rows: list[list[str]] = []
-    for data, errors in (("fit", result.fit), ("held out", result.held_out)):
-        if errors is None:
-            continue
-        for name, percent in (
-            ("all", errors.relative_percent),
-            ("moving", errors.relative_percent_moving),
-            ("raw torque", errors.relative_percent_raw),
-        ):
-            values = percent.tolist()
-            rows.append([f"{data}, {name}", *cells([*values, sum(values) / len(values)], ".2f")])
-        rows += [[f"{data}, RMSE [{unit}]", *cells(errors.rmse), ""], []]
-    band = result.settings.error_cutoff or result.cutoff
-    note = "unfiltered" if band is None else f"filtered at {band:g} Hz"
-    how = f"{note}; moving: |dq| > {RESTING:g}, less in slow logs"
-    title = f"torque error, 100 ||tau - model|| / ||tau||, per joint ({how})"
-    return Table(title, ("data, rows", *joint_numbers(result.robot.n), "mean"), rows, "p")
 
 
 def torque_figure(
@@ -223,10 +190,6 @@ def parameter_figure(result: IdentificationRecord) -> Figure:
 def identification_page(result: Identification, origin: Origin) -> Page:
     """The page of an identification."""
     n, every = result.base.n_rigid, len(result.base)
-    tables = [error_table(result), *effect_tables(result)]
-    tables.append(coefficient_table(result, range(n), "Base parameters"))
-    if every > n:
-        tables.append(coefficient_table(result, range(n, every), "Coefficients of the effects"))
     shown, held = shown_errors(result)
     known = [v for v in shown.relative_percent_moving.tolist() if math.isfinite(v)]
     mean = _percent(sum(known) / len(known)) if known else "-"
@@ -243,7 +206,7 @@ def identification_page(result: Identification, origin: Origin) -> Page:
         origin,
         sections=[
             Section("Pictures", _pictures(result), folded=False),
-            Section("Numbers", tables),
+            Section("Numbers", tables(result)[::-1]),
             caution_section(result.warnings),
         ],
     )
@@ -288,43 +251,6 @@ def _named(names: Sequence[str]) -> str:
     return listed((short(name, 30) for name in names), most=3)
 
 
-def _held(result: Identification, k: int) -> str:
-    """Why a coefficient is 0: the data ask for less than physics allows, or do not tell it."""
-    return "at its bound" if result.base.names[k] in result.bounded else "held"
-
-
-def coefficient_table(result: Identification, which: Sequence[int], title: str) -> Table:
-    """Values with standard deviations and 95 % intervals.
-
-    Args:
-        result: what was identified.
-        which: positions in `base.names`.
-        title: of the table.
-    """
-    ends = result.interval().tolist()
-    rows = []
-    for k in which:
-        spread, std = (_held(result, k), "-", "-"), float(result.std[k])
-        if bool(result.free[k]):
-            low, high = (_to_digits(end, std) for end in ends[k])
-            percent = float(result.relative_std_percent[k])
-            relative = f"{percent:.1f}" if percent < 1e4 else "> 10⁴"
-            spread = (f"{std:.3g}", f"[{low}, {high}]", relative)
-        unit = unit_words(result.base.units[k])
-        rows.append((result.base.names[k], f"{float(result.values[k]):.6g}", unit, *spread))
-    columns = ("name", "value", "unit", "std", "95 % interval", "std, % of value")
-    note = "Standard deviations from a block jackknife: neighbouring residuals are alike."
-    return Table(title, columns, rows, "prl", note)
-
-
-def _to_digits(value: float, std: float) -> str:
-    """A number to a hundredth of its standard deviation, six digits at most."""
-    if not (value and std > 0 and math.isfinite(value) and math.isfinite(std)):
-        return f"{value:.6g}"
-    digits = 3 + math.floor(math.log10(abs(value))) - math.floor(math.log10(std))
-    return f"{value:.{min(6, max(1, digits))}g}"
-
-
 def _pictures(result: Identification) -> list[Picture]:
     held = bool(result.held_out_predictions)
     shown = result.held_out_predictions if held else result.fit_predictions
@@ -363,14 +289,6 @@ _RESIDUAL = (
 )
 
 
-QUANTITIES = (
-    ("mass", "kg"),
-    *((f"com {axis}", "m") for axis in "xyz"),
-    *((f"inertia {entry}", "kg m^2") for entry in ("xx", "xy", "xz", "yy", "yz", "zz")),
-)
-"""Names and units of what is estimated of a payload; the inertia is about its centre of mass."""
-
-
 def report_of_payload(payload: Payload) -> Report:
     """All that there is to see of a payload."""
     said = payload_headline(payload)
@@ -379,20 +297,11 @@ def report_of_payload(payload: Payload) -> Report:
 
 def payload_tables(payload: Payload) -> list[Table]:
     """The body in the tool's and in the last link's frame, and what else changed, if anything."""
-    tool, link = (
-        [_payload_cells(*numbers) for _, _, *numbers in quantities(body)]
-        for body in (payload.tool, payload.link)
-    )
-    named = zip(QUANTITIES, tool, link, strict=True)
-    changes = [
-        (c.name, c.unit, f"{c.change:.3g}", f"{c.std:.2g}") for c in payload.friction_changes
-    ]
-    rows = [(*name, *own, *other) for name, own, other in named]
-    columns = ("quantity", "unit", "tool frame", "95 %", "last link's frame", "95 %")
     title = "effects that changed with the load, not part of the payload"
     return [
-        Table(f"payload of {payload.robot} (value ± std, 95 % interval)", columns, rows, "ll"),
-        Table(title, ("coefficient", "unit", "change", "std"), changes, "pp"),
+        table_of(f"payload of {payload.robot} in the tool frame", payload.tool.quantities),
+        table_of("the same in the last link's frame", payload.link.quantities),
+        table_of(title, payload.friction_changes),
     ]
 
 
@@ -424,36 +333,3 @@ def payload_headline(payload: Payload) -> str:
         f"{payload.robot} carries {float(mass.value):.4g} ± {half:.2g} kg (95 %), centre of mass "
         f"at ({place}) mm of the tool frame; {verdict}."
     )
-
-
-def quantities(body: Body) -> list[tuple[str, str, float, float, float, float]]:
-    """Name and unit, value, standard deviation and ends of the 95 % interval of a payload's ten
-    quantities."""
-    parts = (body.mass, body.com, body.inertia_about_com)
-    columns = (
-        torch.cat([getattr(x, name) for x in parts]).tolist()
-        for name in ("value", "std", "low", "high")
-    )
-    return [(*named, *numbers) for named, *numbers in zip(QUANTITIES, *columns, strict=True)]
-
-
-def _payload_cells(value: float, std: float, low: float, high: float) -> tuple[str, str]:
-    if math.isnan(value):
-        return "not known", "-"
-    if max(abs(value), std) < 1e-9:  # zero but for rounding, as a point's inertia is
-        return "not part of the model", "-"
-    return f"{value:.4g} ± {std:.1g}", f"{low:.4g} .. {high:.4g}"
-
-
-def figures(result: Identification) -> Figures:
-    """How well each parameter is known, and torques of every trajectory: what draws each figure, by
-    the names of their files."""
-    drawn: dict[str, Callable[[], Figure | None]] = {
-        "parameters": partial(parameter_figure, result.record)
-    }
-    runs = {"fit": result.fit_predictions, "held_out": result.held_out_predictions}
-    for kind, predictions in runs.items():
-        for run in predictions:
-            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in run.name)
-            drawn[f"{kind}_{name}"] = partial(run_figure, result, run, kind == "held_out")
-    return drawn

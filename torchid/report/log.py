@@ -14,7 +14,7 @@ from torchid.log.overview import Overview
 from torchid.log.ros import Topic, topics_of
 from torchid.report.colours import BLUE, ORANGE, RED
 from torchid.report.panels import Figure, finish, joint_rows, thin
-from torchid.report.table import Cell, Report, Table, cell
+from torchid.report.table import Cell, Report, Table, plain_table, table_of
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 
@@ -81,62 +81,38 @@ def log_tables(seen: Overview) -> list[Table]:
         cells = ("-" if low != low else f"{low:.4g} .. {high:.4g}" for low, high in ends)
         ranges.append((f"{j + 1} {seen.joints[j]}" if seen.joints else str(j + 1), *cells))
     units = [f"{name} [{seen.units[name]}]" for name in seen.ranges]
-    trajectories: list[tuple[Cell, ...]] = []
-    for t in seen.timing[:_SHOWN]:
-        back = Text(f" ({t.backwards} steps back)" if t.backwards else "", "red")
-        times = (
-            f"{t.start:.6g}",
-            f"{t.duration:.5g}",
-            cell(t.rate, ".5g"),
-            f"{1e3 * t.jitter:.3g}",
-        )
-        gaps = Text.assemble(str(t.gaps), back)
-        trajectories.append((t.name, str(t.samples), *times, gaps, f"{1e3 * t.longest:.4g}"))
-    if len(seen.timing) > _SHOWN:
-        trajectories.append((f"and {len(seen.timing) - _SHOWN} more",))
-    headings = (
-        "", "samples", "from [s]", "for [s]", "rate [Hz]", "jitter [ms]", "gaps",
-        "longest step [ms]",
-    )  # fmt: skip
     return [
         Table("signals", ("", "from", "taken as"), signals, "ppp"),
         Table("smallest to largest", ("joint", *units), ranges, "p"),
-        Table("trajectories", headings, trajectories, "p"),
+        plain_table("trajectories [s; Hz]", [vars(t) for t in seen.timing], most=_SHOWN),
     ]
 
 
-def trajectory_figure(robot: Robot, motion: Log, title: str, noisy: Log | None = None) -> Figure:
+def trajectory_figure(robot: Robot, motion: Log, title: str) -> Figure:
     """Position, velocity and acceleration per joint, limits in red.
 
     Args:
         robot: whose limits are drawn.
         motion: one trajectory.
         title: of the figure.
-        noisy: the same instants with noise, drawn over the motion.
     """
     t = thin(motion.t - motion.t[0])
-    wide = {"linewidth": 1.1} if noisy is None else {"linewidth": 3.0, "alpha": 0.4}
     kinds = set(robot.joint_types)
     length = "m" if kinds == {JointType.PRISMATIC} else "rad"
     # Where the joints differ, no unit holds for all.
     units = [""] * 3 if len(kinds) > 1 else [f" [{length}{per}]" for per in ("", "/s", "/s²")]
     headings = [name + unit for (name, _), unit in zip(SIGNALS, units, strict=True)]
-    height = 1.0 + 1.25 * robot.n + (0.3 if noisy is not None else 0.0)
-    figure, grid = joint_rows(robot.n, headings, (11, height))
+    figure, grid = joint_rows(robot.n, headings, (11, 1.0 + 1.25 * robot.n))
     for column, (name, signal) in zip(grid.T, SIGNALS, strict=True):
         planned = getattr(motion, signal)
-        disturbed = None if noisy is None else getattr(noisy, signal)
         limits = getattr(robot.limits, name)
         for j, axes in enumerate(column):
             if planned is not None:
-                axes.plot(t, thin(planned[:, j]), color=BLUE, label="planned", **wide)
-            if disturbed is not None:
-                style = {"color": ORANGE, "linewidth": 0.8}
-                axes.plot(t, thin(disturbed[:, j]), label="with noise", **style)
+                axes.plot(t, thin(planned[:, j]), color=BLUE, linewidth=1.1)
             if limits is not None and bool(torch.isfinite(limits[j]).all()):
                 for bound in limits[j].tolist():
-                    axes.axhline(bound, color=RED, linewidth=0.9, label="limit")
-    return finish(figure, title, *(() if noisy is None else grid[:1, 0]), columns=3)
+                    axes.axhline(bound, color=RED, linewidth=0.9)
+    return finish(figure, title)
 
 
 def signals_figure(log: Log, odd: Sequence[OddChannel] = ()) -> Figure:
@@ -180,23 +156,11 @@ def signals_figure(log: Log, odd: Sequence[OddChannel] = ()) -> Figure:
 
 def topics_table(topics: Sequence[Topic], read: str | None) -> Table:
     """The topics of a bag."""
-    rows = [
-        (
-            "read" if topic.name == read else "", topic.name, topic.type.replace("/msg/", "/"),
-            str(topic.messages), ", ".join(topic.signals), ", ".join(topic.joints),
-        )
-        for topic in topics
-    ]  # fmt: skip
-    columns = ("", "topic", "type", "messages", "with", "joints")
-    return Table("topics", columns, rows, "pppppp")
+    rows = [{"topic": one.name, **vars(one), "read": one.name == read} for one in topics]
+    return plain_table("topics", [{k: x for k, x in row.items() if k != "name"} for row in rows])
 
 
 def repeats_table(repeats: Sequence[Repeat]) -> Table:
     """Motions made more than once: what differs between them is noise."""
-    rows = []
-    for r in repeats[:_SHOWN]:
-        first, second, seconds = (f"{x:.2f}" for x in (r.start_first, r.start_second, r.duration))
-        rows.append((r.first, first, r.second, second, seconds))
-    columns = ("trajectory", "from [s]", "again in", "from [s]", "for [s]")
     title = "repeated motion: what differs between the two is noise"
-    return Table(title, columns, rows, "ppppp")
+    return table_of(title, repeats, most=_SHOWN)

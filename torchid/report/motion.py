@@ -10,7 +10,7 @@ from torchid.next_motion.planned import Planned, not_checked
 from torchid.next_motion.separating_motion import Separation
 from torchid.next_motion.separation import DECISIVE, Rival, name_pairs, other_means
 from torchid.report.log import trajectory_figure
-from torchid.report.table import Report, Table
+from torchid.report.table import Report, Table, plain_table
 from torchid.results.words import count, effect_words, listed, number_list, percent, short
 from torchid.robot.model import Robot, joint_unit
 
@@ -56,17 +56,14 @@ def report_of_motion(planned: Planned) -> Report:
 
 
 def torque_table(robot: Robot, use: TorqueUse) -> Table:
-    """The largest torque of every joint beside its limit."""
-    rows = []
-    for j, (size, share) in enumerate(zip(use.largest.tolist(), use.share.tolist(), strict=True)):
-        unit = joint_unit(robot, j)
-        low, high = use.limits[j].tolist()
-        limit = f"{high:g} {unit}" if low == -high else f"{low:g} .. {high:g} {unit}"
-        known = math.isfinite(min(-low, high))
-        cells = (limit, f"{100 * share:.0f} %") if known else ("none", "-")
-        rows.append((str(j + 1), f"{size:.3g} {unit}", *cells))
-    title = f"largest torque, by the {use.source}"
-    return Table(title, ("joint", "torque", "limit", "share"), rows, least_width=len(title))
+    """The largest torque of every joint beside its limits."""
+    columns = zip(use.largest.tolist(), use.limits.tolist(), use.share.tolist(), strict=True)
+    rows = [
+        {"joint": f"{j + 1} [{joint_unit(robot, j)}]", "torque": size}
+        | ({"limits": ends, "share": percent(share)} if math.isfinite(ends[1] - ends[0]) else {})
+        for j, (size, ends, share) in enumerate(columns)
+    ]
+    return plain_table(f"largest torque, by the {use.source}", rows)
 
 
 HARDLY_BETTER = "a plain exciting motion, driven a tenth longer, tells as much as the designed one."

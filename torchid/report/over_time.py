@@ -1,8 +1,6 @@
-"""Signals of the arm and of two models over time: one drawing for every kind of log, of which a
-page lets its reader zoom, and choose the joint and the run."""
+"""Signals of the arm and of two models over time: one drawing for every kind of log."""
 
 import math
-from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -87,19 +85,12 @@ class OverTime:
     noise: Float[Tensor, "n 2"] | None = None
     where: str = ""
 
-    def worst(self, joint: int) -> int:
-        """The run in which the model before errs most on a joint."""
-        return max(range(len(self.runs)), key=lambda k: self.runs[k].window(joint)[1])
-
-    def error_unit(self, joint: int) -> tuple[str, float]:
-        """Unit of a joint's errors, and how many of it one unit of the joint's signal is."""
-        return self.error or (self.units[joint], 1.0)
-
     def draw(self, joint: int | None = None, width: float = 10.0) -> Figure:
         """A joint (from 0; the worst, if None) in the run and at the time where it is worst;
         `width` [inch]."""
         joint = self.order[0] if joint is None else joint
-        run = self.runs[self.worst(joint)]
+        # Where the model before errs most on the joint.
+        run = max(self.runs, key=lambda run: run.window(joint)[1])
         whole, _ = run.window(joint)
         # 4000: instants at most
         rows = slice(whole.start, whole.stop, max(1, (whole.stop - whole.start) // 4000))
@@ -137,7 +128,7 @@ class OverTime:
 
     def _draw_errors(self, axes: Any, joint: int, t: np.ndarray, off: Sequence[np.ndarray]) -> None:
         """What parts a joint from each model, over the noise."""
-        unit, scale = self.error_unit(joint)
+        unit, scale = self.error or (self.units[joint], 1.0)
         if self.noise is not None:
             draw_noise(axes, (scale * self.noise[joint]).tolist())
         axes.axhline(0, color=GREY, linewidth=0.8)
@@ -145,83 +136,13 @@ class OverTime:
             axes.plot(t, scale * x, color=colour, linewidth=1.2)
         axes.set_ylabel(f"arm - model [{unit}]")
 
-    def numbers(self) -> dict[str, Any]:
-        """All that a page's script draws: every joint of every run, thinned so that the page stays
-        small, each curve as 16-bit numbers."""
-        n = len(self.joints)
-        command = any(run.command is not None for run in self.runs)
-        curves = 1 + len(self.models) + command
-        # 700_000: of one drawing's numbers on a page
-        # 6000: of a run
-        most = min(6000, 700_000 // (len(self.runs) * n * curves * 8 // 3))
-        scales = [self.error_unit(j) for j in range(n)]
-        return {
-            "quantity": self.quantity,
-            "joints": list(self.joints),
-            "units": list(self.units),
-            "errors": [unit for unit, _ in scales],
-            "scales": [scale for _, scale in scales],
-            "noise": None
-            if self.noise is None
-            else [_short(noise_width(x)) for x in self.noise.tolist()],
-            "models": self.models,
-            "joint": self.order[0],
-            "run": self.worst(self.order[0]),
-            "runs": [_packed(run, most) for run in self.runs],
-        }
-
-
-def noise_width(ends: Sequence[float]) -> float:
-    """Upper end of a noise, or its lower one where nothing bounds it above."""
-    low, high = ends
-    return low if math.isnan(high) else high
-
 
 def draw_noise(axes: Any, ends: Sequence[float]) -> None:
     """A band over an error: the noise as the answer says it."""
-    width, label = noise_width(ends), f"noise, RMS {span(ends, 2)}"
+    low, high = ends
+    width = low if math.isnan(high) else high
+    label = f"noise, RMS {span(ends, 2)}"
     axes.axhspan(-width, width, color=INK, alpha=0.12, linewidth=0, label=label)
-
-
-def _packed(run: Run, most: int) -> dict[str, Any]:
-    """A run for a page's script, evenly thinned."""
-    step = max(1, -(-len(run.t) // most))
-    t = run.t[::step]
-    curves = {"arm": run.measured, "before": run.before, "after": run.after, "command": run.command}
-    windows = [run.window(j)[0] for j in range(run.measured.shape[1])]
-    ends = [[_short(float(run.t[w.start])), _short(float(run.t[w.stop - 1]))] for w in windows]
-    return {
-        "name": run.name,
-        "from": float(t[0]),
-        "step": float((t[-1] - t[0]) / max(1, len(t) - 1)),
-        "windows": ends,
-        "curves": {
-            name: [_coded(x[::step, j]) for j in range(x.shape[1])]
-            for name, x in curves.items()
-            if x is not None
-        },
-        "aside": [] if run.aside is None else [_stretches(t, x[::step]) for x in run.aside.T],
-    }
-
-
-def _coded(x: Float[Tensor, " T"]) -> list[Any]:
-    """[largest size, 16-bit shares of it]; the lowest number is none."""
-    most = float(x.abs().nan_to_num().max()) or 1.0
-    # of a number on a page, from 0 to its curve's largest
-    levels = 32767
-    shares = (x / most * levels).round().nan_to_num(nan=-levels - 1)
-    return [_short(most), b64encode(shares.numpy().astype("<i2").tobytes()).decode()]
-
-
-def _stretches(t: Float[Tensor, " T"], marked: Bool[Tensor, " T"]) -> list[list[float]]:
-    """[begin, end] of what is marked [s]."""
-    padded = torch.cat([marked.new_zeros(1), marked, marked.new_zeros(1)]).int().diff()
-    ends = zip((padded > 0).nonzero()[:, 0], (padded < 0).nonzero()[:, 0] - 1, strict=True)
-    return [[_short(float(t[a])), _short(float(t[b]))] for a, b in ends]
-
-
-def _short(x: float) -> float:
-    return float(f"{x:.6g}")
 
 
 def _worst_first(d: TorqueDiagnosis) -> list[int]:

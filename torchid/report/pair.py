@@ -9,15 +9,11 @@ from torchid.pair.record import OneSided, ServoDifference, WherePair
 from torchid.report import diagnosis
 from torchid.report.cautions import caution_section
 from torchid.report.gap_figures import CLEAR, excess_words
-from torchid.report.table import Origin, Page, Report, Section, Table, cell, table_of
+from torchid.report.table import Origin, Page, Report, Section, Table, table_of
 from torchid.results.words import (
-    effect_words,
     joints_words,
     listed,
-    percent,
-    sure,
     unit_behind,
-    within,
 )
 
 _MOST_REGIMES = 3
@@ -119,57 +115,36 @@ def page(pair: PairDiagnosis, origin: Origin) -> Page:
 def tables(pair: PairDiagnosis) -> list[Table | None]:
     """Where torque and motion differ, faults, effects."""
     record = pair.record
-    effects = [
-        (
-            _more(one), joints_words(one.at), one.values() or "-", percent(one.share),
-            sure(one.how_sure), ", ".join(map(effect_words, one.ambiguous_with)) or "-",
-        )
-        for one in record.which or ()
-    ]  # fmt: skip
-    both = [(c.name, joints_words(c.at), c.values() or "-", sure(c.how_sure)) for c in record.both]
-    servos = [
-        (
-            str(s.joint + 1), f"{s.parameter} / kp" if s.per_kp else s.parameter,
-            # A side without an interval does not have it.
-            *("-" if ends is None else within(value, ends, s.unit) for value, ends in
-              ((s.simulated, s.simulated_ci95), (s.real, s.real_ci95))),
-            "yes" if s.differs else "no",
-        )
-        for s in record.servos or ()
-    ]  # fmt: skip
-    numbers = ("joint", "parameter", "simulator", "arm", "differs")
-    headings = ("effect", "where", "simulator -> arm", "share", "how sure", "not separable from")
     return [
-        None if record.torque is None else _where(record.torque, "torque", "N m"),
-        _where(record.position, "motion", "mrad"),
+        None
+        if record.torque is None
+        else _where(record.torque, "where: torque of the arm less the simulator's [N m; N]"),
+        _where(record.position, "where: motion of the arm less the simulator's [rad; m]"),
         table_of(
             "set-up, in the order in which to mend it", record.faults, "fault where meaning remedy"
         ),
-        Table("effects: simulator -> arm", headings, effects, "ppprrp"),
-        Table(
-            "in both logs, and not in the robot's file",
-            ("effect", "where", "file -> both", "how sure"),
-            both,
-            "pppr",
+        table_of(
+            "effects: simulator -> arm",
+            record.which or (),
+            "name at more only numbers share how_sure ambiguous_with",
         ),
-        Table("servos, from commands and positions [95 %]", numbers, servos, "rp"),
+        table_of(
+            "in both logs, and not in the robot's file", record.both, "name at numbers how_sure"
+        ),
+        table_of(
+            "servos, from commands and positions [95 %]",
+            record.servos or (),
+            "joint number simulator arm differs",
+        ),
     ]
 
 
-def _where(where: WherePair, what: str, unit: str) -> Table:
+def _where(where: WherePair, title: str) -> Table:
     """Joints, and the regimes that hold more than their share."""
-    scale = 1e3 if unit == "mrad" else 1.0
-    rows = []
+    said = []
     for one in where.joints:
         clear = [r for r in where.regimes if r.joint == one.joint and r.p < CLEAR and r.excess > 0]
         clear.sort(key=lambda r: -r.excess)
-        noise = cell(scale * one.noise, ".2g")
-        rows.append(
-            (
-                str(one.joint + 1), f"{scale * one.rms:.3g}", noise, f"{one.relative_percent:.3g}",
-                ", ".join(map(excess_words, clear[:_MOST_REGIMES])) or "-",
-            )
-        )  # fmt: skip
+        said.append(", ".join(map(excess_words, clear[:_MOST_REGIMES])) or "-")
     regimes = f"holds more than its share (excess [95 %], p < {CLEAR:g})"
-    title = f"where: {what} of the arm less the simulator's [{unit}]"
-    return Table(title, ("joint", "RMS", "noise", "of the arm's [%]", regimes), rows, "rrrrp")
+    return table_of(title, where.joints, beside={regimes: said})

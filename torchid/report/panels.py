@@ -35,33 +35,18 @@ class Picture:
     """A figure that is drawn when it is needed.
 
     Attributes:
-        name: unique on its page, of letters, digits and underscores; that of its file without .png.
+        name: unique on its page, of letters, digits and underscores.
         caption: what is shown, and what to see in it.
         alt: what those who do not see it must know.
         draw: the figure.
-        section: of a page of several, by key.
         narrow: the same figure for a phone; None where the wide one scrolls sideways there.
-        numbers: what a page's script draws in its place, to be zoomed (`OverTime.numbers`).
     """
 
     name: str
     caption: str
     alt: str
     draw: Callable[[], Figure]
-    section: str = ""
     narrow: Callable[[], Figure] | None = None
-    numbers: Callable[[], Mapping[str, Any]] | None = None
-
-    @property
-    def file(self) -> str:
-        """Name of its file."""
-        return f"{self.name}.png"
-
-
-def drawing(section: str, name: str, caption: str, draw: Callable[[], Figure]) -> Picture:
-    """A picture of a section, told by its name; stars in its caption would be markup."""
-    alt = f"Figure: {name.replace('_', ' ')}."
-    return Picture(name, caption.replace("*", ""), alt, draw, section)
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -258,19 +243,17 @@ def shaded_map(
     return bar
 
 
-def map_with_bars(
+def map_with_words(
     title: str,
     heading: str,
     rows: Sequence[str],
     columns: Sequence[str],
     shades: np.ndarray,
-    cells: Mapping[tuple[int, int], tuple[str, Mapping[str, Any]]],
+    cells: Mapping[tuple[int, int], tuple[str, dict[str, Any]]],
     label: str,
-    bars: tuple[str, Sequence[float], Sequence[str], str, float],
     most: float | None = None,
-    width: float = 9.0,
 ) -> tuple[Figure, Any]:
-    """A map with words in its cells, and bars beside its rows; the figure, and the bar of colours.
+    """A map with words in its cells; the figure, and the bar of colours.
 
     Args:
         title, heading: of the figure, and above the map.
@@ -278,26 +261,15 @@ def map_with_bars(
         shades: (rows, columns) from 0 on.
         cells: text and style by row and column.
         label: of the bar of colours.
-        bars: title, lengths, words, colour and right end.
         most: with the deepest blue; the largest if None.
-        width: of the figure [inch].
     """
-    figure = new_figure(width, 2.0 + 0.42 * len(rows))
-    axes, beside = figure.subplots(1, 2, width_ratios=(len(columns), 2), sharey=True)
+    figure = new_figure(9.0, 2.0 + 0.42 * len(rows))
+    axes = figure.subplots()
     scale = shaded_map(axes, shades, columns, rows, label, most)
     for (y, x), (text, style) in cells.items():
-        look = {"fontsize": SMALL, "color": INK} | dict(style)
+        look: Mapping[str, Any] = {"fontsize": SMALL, "color": INK} | style
         axes.text(x, y, text, ha="center", va="center", **look)
-    name, lengths, words, colour, right = bars
-    styled(beside).barh(range(len(lengths)), lengths, color=colour, height=0.6)
-    for y, (value, said) in enumerate(zip(lengths, words, strict=True)):
-        beside.text(value, y, said, va="center", fontsize=SMALL, color=INK)
-    beside.set(xlim=(0, right), xticks=[])
-    beside.tick_params(which="both", length=0, labelleft=False)
-    beside.grid(False)
-    beside.spines["bottom"].set_visible(False)
-    for part, own in ((axes, heading), (beside, name)):
-        part.set_title(own, fontsize=SMALL, color=INK, loc="left")
+    axes.set_title(heading, fontsize=SMALL, color=INK, loc="left")
     return finish(figure, title), scale
 
 
@@ -307,12 +279,6 @@ def note(axes: Any, text: str) -> None:
         0.99, 0.97, text, transform=axes.transAxes, ha="right", va="top", fontsize=8, color=INK,
         bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 1.0},
     )  # fmt: skip
-
-
-def headroom(axes: Any) -> None:
-    """Room above the curves for a note."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.25 * (high - low))
 
 
 def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
@@ -327,11 +293,6 @@ def worst_stretch(squares: Tensor, size: int) -> tuple[slice, float]:
 def thin(signal: Tensor) -> np.ndarray:
     """At most `MOST_POINTS` evenly spaced instants (first axis) as an array."""
     return signal[:: max(1, -(-len(signal) // MOST_POINTS))].detach().cpu().numpy()
-
-
-def jitter(k: int, seed: int, width: float = 0.3) -> np.ndarray:
-    """k offsets that keep the marks of one column apart."""
-    return np.random.default_rng(seed).uniform(-width, width, k)
 
 
 def printable(text: str) -> str:
@@ -372,16 +333,4 @@ def save(figure: Figure, path: Path) -> Path:
     picture = _picture(figure, 130)
     with atomic_write(path, "wb") as file:
         picture.save(file, format="PNG", dpi=(130, 130))
-    return path
-
-
-def save_small(figure: Figure, path: Path) -> Path:
-    """Write a PNG of few colours atomically: a third of the size, and nothing is lost to see."""
-    from PIL import Image
-
-    few = _picture(figure, 100).quantize(
-        256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
-    )
-    with atomic_write(path, "wb") as file:
-        few.save(file, format="PNG", compress_level=9)
     return path

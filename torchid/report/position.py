@@ -23,10 +23,10 @@ from torchid.report.panels import (
     Figure,
     Picture,
     joint_lines,
-    map_with_bars,
+    map_with_words,
     thin,
 )
-from torchid.report.table import Report, Table, cells, table_of
+from torchid.report.table import Report, Table, cells, joint_table, table_of
 from torchid.results.words import regime_words, unit_behind, within
 
 WORST = 3
@@ -191,9 +191,9 @@ def motion_table(record: PositionRecord) -> Table:
     rows = []
     for one in record.how_far.per_motion:
         errors = one.answered_mrad
-        rows.append((one.motion, *cells([*errors.tolist(), float(errors[moves].mean())], ".1f")))
-    columns = ("motion", *(j.name for j in record.where.joints), "mean")
-    return Table(f"Error of each motion, left out [{unit_of_errors(record)}]", columns, rows, "l")
+        rows.append((one.motion, [*errors.tolist(), float(errors[moves].mean())]))
+    title = f"Error of each motion, left out, per joint [{unit_of_errors(record)}]"
+    return joint_table(title, rows, ".1f", last=("mean",))
 
 
 def where_picture(record: PositionRecord) -> Picture:
@@ -232,7 +232,7 @@ def worst_joints(record: PositionRecord, most: int = WORST) -> list[int]:
 
 def where_figure(record: PositionRecord) -> Figure:
     """Joints x what the command does: the error of the servo before as colour, and what the answer
-    leaves of it; beside it the joints' errors of the command alone."""
+    leaves of it."""
     joints, errors = record.where.joints, record.where.regimes
     regimes = list(dict.fromkeys(r.regime for r in errors))
     first, after = (
@@ -243,13 +243,8 @@ def where_figure(record: PositionRecord) -> Figure:
         place: ("-" if np.isnan(value) else f"{value:.1f} \u2192 {after[place]:.1f}", {})
         for place, value in np.ndenumerate(first)
     }
-    sizes = [0.0 if j.never_moves else j.commanded_mrad for j in joints]
-    words = [
-        " never moves" if j.never_moves else f" {value:.1f}"
-        for j, value in zip(joints, sizes, strict=True)
-    ]
     unit = unit_of_errors(record)
-    return map_with_bars(
+    return map_with_words(
         f"{record.robot}: where command and position part",
         f"error of whole motions left out [{unit}]: {before_words(record)} \u2192 corrected",
         [label(record, j.joint) for j in joints],
@@ -257,7 +252,6 @@ def where_figure(record: PositionRecord) -> Figure:
         np.nan_to_num(first),
         texts,
         f"{before_words(record)} [{unit}]",
-        (f"command less position [{unit}]", sizes, words, GREY, 1.35 * max(*sizes, 1e-9)),
     )[0]
 
 

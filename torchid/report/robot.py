@@ -2,11 +2,9 @@
 
 from typing import Any
 
-from rich.text import Text
-
 from torchid.feasibility.units import unit_findings
 from torchid.json_data import picked, plain
-from torchid.report.table import Cell, Report, Table
+from torchid.report.table import Report, Table, plain_table
 from torchid.results.words import count
 from torchid.robot.model import JointType, Robot
 from torchid.typing import Tensor
@@ -68,30 +66,6 @@ def _tree_record(robot: Robot) -> dict[str, Any]:
     }
 
 
-def _tree_table(robot: Robot) -> Table:
-    """The links as they carry one another, each branch to its end."""
-    rows = []
-    ends = {tip.link: tip.name for tip in robot.ends}
-
-    def walk(parent: int, depth: int) -> None:
-        for i in [k for k, above in enumerate(robot.parents) if above == parent]:
-            drive, name = robot.drives[i], robot.link_names[i]
-            joint = str(drive.coordinate + 1)
-            if drive in robot.mimics:
-                moves = f"{drive.joint} = {drive.ratio:g} x joint {joint}"
-                joint, moves = "", moves + (f" {drive.offset:+g}" if drive.offset else "")
-            else:
-                moves = drive.joint
-            end = ends.get(i, "")
-            rows.append((joint, moves, str(i + 1), "  " * depth + name, end))
-            walk(i, depth + 1)
-
-    walk(-1, 0)
-    columns = ("", "joint", "", "link, behind the one that carries it", "tip")
-    title = f"{count(robot.n_links, 'link')}, {count(len(robot.ends), 'tip')}"
-    return Table(title, columns, rows, "rprpp")
-
-
 def robot_warnings(robot: Robot) -> tuple[str, ...]:
     """The reader's warnings, links whose inertia no body can have, and units that look wrong."""
     said = list(robot.warnings)
@@ -114,42 +88,35 @@ def report_of_robot(robot: Robot) -> Report:
 
 def robot_tables(robot: Robot) -> list[Table]:
     """Joints with limits, the tree of a robot that branches, and links with parameters."""
-    rows = []
-    for i in range(robot.n):
-        limits = (_interval(_limit(getattr(robot.limits, name), i)) for name in _LIMITS)
-        kind = "prismatic" if robot.joint_types[i] is JointType.PRISMATIC else "revolute"
-        rows.append((str(i + 1), robot.joint_names[i], kind, *limits))
-    slides = [kind is JointType.PRISMATIC for kind in robot.joint_types]
+    record, slides = robot_record(robot), [x is JointType.PRISMATIC for x in robot.joint_types]
     units = {
         name: both[0] if not any(slides) else both[1] if all(slides) else " or ".join(both)
         for name, both in _LIMITS.items()
     }
-    columns = ("", "joint", "type", *(f"{name} [{unit}]" for name, unit in units.items()))
-    joints = Table(f"{robot.name}: {count(robot.n, 'joint')}", columns, rows, "p" * 7)
-    p, tree = robot.parameters, [] if robot.is_serial else [_tree_table(robot)]
-    if p is None:
-        return [joints, *tree]
-    links, margins = [], p.consistency_margin().tolist()
-    for i, name in enumerate(robot.link_names):
-        fine = margins[i] >= 0
-        verdict: Cell = "no body" if not p.pi[i].any() else "yes"
-        verdict = verdict if fine else Text.assemble(("no", "red"), f" ({margins[i]:.1e})")
-        vectors = (
-            " ".join(f"{v:.4g}" for v in x[i].tolist()) for x in (p.com, p.inertia_about_com)
-        )
-        links.append((str(i + 1), name, f"{float(p.mass[i]):.5g}", *vectors, verdict))
-    columns = ("", "link", "mass [kg]", "CoM [m]", "inertia about CoM [kg m^2]", "consistent")
-    return [joints, *tree, Table("links (axes of the link frame)", columns, links, "p" * 6)]
+    joints = [
+        {f"{key} [{units[key]}]" if key in units else key: x for key, x in joint.items()}
+        for joint in record["joints"]
+    ]
+    tables = [plain_table(f"{robot.name}: {count(robot.n, 'joint')}", joints)]
+    if tree := record.get("tree"):
+        tips = ", ".join(f"{tip['name']} on link {tip['link']}" for tip in tree["tips"])
+        title = f"{count(robot.n_links, 'link')}; tips: {tips}"
+        tables.append(plain_table(title, tree["links"]))
+    if (p := record["parameters"]) is not None:
+        links = [
+            {
+                "link": k + 1,
+                "name": name,
+                "mass [kg]": p["mass"][k],
+                "CoM [m]": p["com"][k],
+                "inertia about CoM [kg m²]": p["inertia_about_com"][k],
+                "consistent": p["consistency_margin"][k] >= 0,
+            }
+            for k, name in enumerate(robot.link_names)
+        ]
+        tables.append(plain_table("links (axes of the link frame)", links))
+    return tables
 
 
 def _limit(limits: Tensor | None, i: int) -> list[float | None] | None:
     return None if limits is None else plain(limits[i])
-
-
-def _interval(limits: list[float | None] | None) -> str:
-    if limits is None or limits == [None, None]:
-        return "-"
-    low, high = limits
-    if low is not None and high is not None and abs(low + high) < 1e-12:
-        return f"±{high:.5g}"
-    return " .. ".join("∞" if v is None else f"{v:.5g}" for v in (low, high))

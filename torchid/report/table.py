@@ -16,7 +16,15 @@ from rich.text import Text
 
 from torchid.errors import visible
 from torchid.results.record import Col, Joint, Real
-from torchid.results.words import measure, number_list, unit_behind, unit_words, within
+from torchid.results.words import (
+    measure,
+    number_list,
+    short,
+    unit_behind,
+    unit_words,
+    value_words,
+    within,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +49,6 @@ class Table:
         align: a letter a column: `l` words that stay on one line, `p` words that may be broken, `r`
             numbers, as all columns are beyond the last letter.
         note: sentences below it.
-        least_width: characters in the terminal.
         most: rows that are printed; a page has all of them.
     """
 
@@ -50,7 +57,6 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     align: str = ""
     note: str = ""
-    least_width: int | None = None
     most: int | None = None
 
     @property
@@ -75,13 +81,11 @@ class Table:
         headings and cells at their spaces; no number is cut, and the last columns for which there
         is no room are left out."""
         shown, widths, gap = self.printed._fitted(options.max_width)
-        title = Text(visible(self.title), "table.title")
-        table = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+        if self.title:
+            yield Text(visible(self.title), "table.title")
+        table = RichTable(box=box.SIMPLE_HEAD)
         table.padding = (0, gap > 1, 0, gap > 2)
         table.show_header = any(name.strip() for name in shown.columns)
-        table.caption = Text(visible(shown.note), "table.caption") if shown.note else None
-        table.caption_justify = "left"
-        table.min_width = None if widths else self.least_width
         for k, (name, letter) in enumerate(zip(shown.columns, shown.letters, strict=True)):
             table.add_column(
                 Text(visible(name)),
@@ -96,6 +100,8 @@ class Table:
             else:
                 table.add_section()
         yield table
+        if shown.note:
+            yield Text(visible(shown.note), "table.caption")
 
     def _fitted(self, room: int) -> "tuple[Table, list[int], int]":
         """The table with those columns that fit into `room` characters, their widths, none where
@@ -252,7 +258,6 @@ class Page:
         sections: below them, in their order.
         answer: of a diagnosis: joints, bars and causes.
         band: below which its errors are counted [Hz].
-        picture: beside the answer.
         advice: (title, sentences) what to do.
         sortable: whether its tables can be sorted by a click.
     """
@@ -264,7 +269,6 @@ class Page:
     sections: Sequence[Section]
     answer: "Answer | None" = None
     band: float | None = None
-    picture: "Picture | None" = None
     advice: Sequence[tuple[str, Sequence[str]]] = ()
     sortable: bool = False
 
@@ -273,33 +277,7 @@ class Page:
         """All pictures, in their order."""
         from torchid.report.panels import Picture
 
-        inside = [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
-        return inside if self.picture is None else [self.picture, *inside]
-
-    def markdown(self) -> str:
-        """The report in Markdown; its pictures lie beside it."""
-        from torchid.report.panels import Picture
-
-        parts = [f"# {self.title}\n", f"{self.verdict}\n"]
-        for section in self.sections:
-            if not any(section.parts):
-                continue
-            parts.append(f"## {section.title}\n")
-            for part in section.parts:
-                if not part:
-                    continue
-                if isinstance(part, Table):
-                    parts.append(part.markdown())
-                elif isinstance(part, Picture):
-                    name = part.name.replace("_", " ")
-                    parts.append(f"![{name}]({part.file})\n\n*{part.caption}*\n")
-                elif isinstance(part, Code):
-                    parts.append(f"{part.note}\n\n```\n{part.text}\n```\n")
-                else:
-                    parts.append("".join(f"- {sentence}\n" for sentence in part))
-        about = (*self.origin.seeds, *self.origin.settings, *self.origin.versions)
-        parts.append("## How it was obtained\n")
-        return "\n".join([*parts, "".join(f"- {name}: {value}\n" for name, value in about)])
+        return [p for s in self.sections for p in s.parts if isinstance(p, Picture)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -368,9 +346,9 @@ def table_of(
     """Parts of a result as a table: a row each, a column for each field or property that declares
     one (`Col`).
 
-    Integers, words and yes or no stand as they are, joints from 1, lists with commas, a dash for
-    what is not there; a number with its digits, its unit, and its standard deviation or interval,
-    as its column says.
+    Integers, words and yes or no stand as they are, joints from 1, lists with commas, the numbers
+    of a tensor (n,) beside each other, a dash for what is not there; a number with its digits, its
+    unit, and its standard deviation or interval, as its column says.
 
     Args:
         title: of the table.
@@ -420,6 +398,8 @@ def _declared(kind: type) -> dict[str, tuple[str, Col, bool]]:
 def _cell(entry: object, name: str, col: Col) -> str:
     """A cell, as `table_of` has it."""
     value = getattr(entry, name)
+    if hasattr(value, "tolist"):
+        return " ".join(cells(value, col.digits)) if col.words is None else col.words(value)
     if value is None or value is UNSET or value != value:
         return "-"
     if col.words is not None:
@@ -436,7 +416,7 @@ def _cell(entry: object, name: str, col: Col) -> str:
         case float():
             return f"{value:{col.digits}} {unit_behind(unit)}".rstrip()
         case (float(), float()):
-            return " .. ".join(cells(value, col.digits))
+            return " .. ".join(dict.fromkeys(cells(value, col.digits)))
         case tuple() | list():
             numbers = all(isinstance(x, int | float) for x in value)
             return (number_list(value) if numbers else ", ".join(map(str, value))) or "-"
@@ -451,6 +431,38 @@ def cells(values: "Iterable[float | None] | Tensor", digits: str = ".3g") -> lis
 def cell(value: float | None, digits: str = ".3g") -> str:
     """A number; a dash where there is none, or it is not finite."""
     return "-" if value is None or not math.isfinite(value) else f"{value:{digits}}"
+
+
+def plain_table(
+    title: str, entries: Sequence[Mapping[str, object]], note: str = "", most: int = 60
+) -> Table:
+    """Plain data as a table: a row an entry, a column a key."""
+    keys = list(dict.fromkeys(key for entry in entries for key in entry))
+    rows = [[short(value_words(one.get(key, "-"), ".4g"), 80) for key in keys] for one in entries]
+    heads = [key.replace("_", " ") for key in keys]
+    numbers = [all(type(one.get(key)) in (int, float) for one in entries) for key in keys]
+    letters = "".join("r" if number else "p" for number in numbers)
+    return Table(title, heads, rows, letters, note, most=most)
+
+
+def joint_table(
+    title: str,
+    rows: "Iterable[tuple[str, Iterable[float] | Tensor]]",
+    digits: str = ".3g",
+    last: Sequence[str] = (),
+) -> Table:
+    """One column a joint, and one row of numbers a name.
+
+    Args:
+        title: of the table.
+        rows: names, and numbers of the joints and of the `last` columns, which may lack some.
+        digits: of the numbers.
+        last: headings of columns behind the joints'.
+    """
+    lines = [(name, *cells(values, digits)) for name, values in rows]
+    n = max(map(len, lines), default=1)
+    heads = ("", *joint_numbers(n - 1 - len(last)), *last)
+    return Table(title, heads, [(*line, *[""] * (n - len(line))) for line in lines], "p")
 
 
 def joint_numbers(n: int) -> list[str]:

@@ -2,9 +2,9 @@
 torch."""
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Annotated, Literal
 
-from torchid.results.record import Joint, Part, Real
+from torchid.results.record import Col, Joint, Part, Real
 from torchid.results.words import count, effect_words, joints_words, listed, measure, unit_behind
 
 MOST = 3
@@ -75,16 +75,16 @@ class RunValue(Part, frozen=True, kw_only=True):
 
     effect: str
     joints: tuple[Joint, ...]
-    parameter: str
+    parameter: Annotated[str, Col("number")]
     unit: str
-    run: str
-    value: Real
+    run: Annotated[str, Col()]
+    value: Annotated[Real, Col("from it alone", spread="std", unit_of="unit")]
     std: Real
     wanted: bool | None
-    verdict: Verdict
-    merged: Real
+    verdict: Annotated[Verdict, Col()]
+    merged: Annotated[Real, Col("of all runs", spread="merged_std", unit_of="unit")]
     merged_std: Real
-    spread: Real
+    spread: Annotated[Real, Col(digits=".2g")]
 
     @property
     def words(self) -> str:
@@ -92,7 +92,7 @@ class RunValue(Part, frozen=True, kw_only=True):
         return measure(self.value, self.std, unit_behind(self.unit))
 
     @property
-    def cause(self) -> str:
+    def cause(self) -> Annotated[str, Col()]:
         """`Coulomb friction on joint 2`."""
         place = f" on {joints_words(self.joints)}" if self.joints else ""
         return effect_words(self.effect) + place

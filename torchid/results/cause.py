@@ -7,14 +7,14 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from torchid.results.agreement import Replication
+from torchid.results.agreement import Replication, repeat_words
 from torchid.results.friction import FrictionLaw
-from torchid.results.record import Joint, Part, Real, Values
+from torchid.results.record import Col, Joint, Part, Real, Values
 from torchid.results.words import (
     BRANCHES,
     PAYLOAD,
@@ -23,10 +23,13 @@ from torchid.results.words import (
     joints_words,
     listed,
     measure,
+    number_list,
     percent,
     span,
+    sure,
     unit_behind,
     unit_words,
+    value_words,
 )
 from torchid.results.words import LINK as LINK  # asked by all that tell of causes
 from torchid.statistics.criteria import LIKELY
@@ -204,6 +207,14 @@ class Size:
         return f"{self.name} = {self.words}"
 
 
+def _effects(names: Iterable[str]) -> str:
+    return ", ".join(map(effect_words, names)) or "-"
+
+
+def _joints(joints: Iterable[int]) -> str:
+    return number_list(joints, "all")
+
+
 class Cause(Part, frozen=True, kw_only=True):
     """One cause of the error.
 
@@ -249,11 +260,11 @@ class Cause(Part, frozen=True, kw_only=True):
     effect: str
     family: str = ""
     branch: str = ""
-    role: Role = "named"
+    role: Annotated[Role, Col()] = "named"
     joints: tuple[Joint, ...]
     located: tuple[Joint, ...] | None = None
     common: bool = False
-    ambiguous_with: tuple[str, ...] = ()
+    ambiguous_with: Annotated[tuple[str, ...], Col("could also be", words=_effects)] = ()
     probabilities: dict[str, Real] = msgspec.field(default_factory=dict)
     parameters: Values = msgspec.field(default_factory=dict)
     file: dict[str, Real] = msgspec.field(default_factory=dict)
@@ -262,18 +273,18 @@ class Cause(Part, frozen=True, kw_only=True):
     shape: tuple[str, ...] = ()
     places: tuple[str, ...] = ()
     main: str = ""
-    how_sure: float | None = None
-    share: Real = math.nan
-    alone: Real = math.nan
+    how_sure: Annotated[float | None, Col("sure", words=sure)] = None
+    share: Annotated[Real, Col(words=percent)] = math.nan
+    alone: Annotated[Real, Col("by itself", words=percent)] = math.nan
     removes: tuple[Real, ...] = ()
     closes_rms: Real = math.nan
     judged: JudgedOn | UnsetType = UNSET
     window: Window | UnsetType = UNSET
     when: When | UnsetType = UNSET
     law: FrictionLaw | UnsetType = UNSET
-    replication: Replication | None = None
+    replication: Annotated[Replication | None, Col("same size in", words=repeat_words)] = None
     meaning: str = ""
-    remedy: str = ""
+    remedy: Annotated[str, Col("what to do")] = ""
     source: str | None = None
     notes: tuple[str, ...] = ()
 
@@ -283,7 +294,7 @@ class Cause(Part, frozen=True, kw_only=True):
         super().__post_init__()
 
     @property
-    def at(self) -> tuple[Joint, ...]:
+    def at(self) -> Annotated[tuple[Joint, ...], Col("joints", words=_joints)]:
         """Joints that it is at, from 0; links of inertial parameters; none: the whole arm."""
         return self.located or ()
 
@@ -320,6 +331,18 @@ class Cause(Part, frozen=True, kw_only=True):
         )
 
     @property
+    def numbers(self) -> Annotated[str, Col("value ± std")]:
+        """All of its numbers, a line each, those that the data determine first, then shapes."""
+        shapes = self.shape if self.role != "small" else ()
+        lines = [
+            *(s.named for s in self.sizes if s.determined),
+            *(f"{s.name}, not determined" for s in self.sizes if not s.determined),
+            *(f"{x} = {value_words(self.parameters[x], '.4g')} {unit_behind(self.unit[x])}".rstrip()
+              for x in shapes),
+        ]  # fmt: skip
+        return "\n".join(lines) or "-"
+
+    @property
     def no_field(self) -> bool:
         """Whether its remedy sets a field of the file to a number that is negative there."""
         return any(s.value < 0 and re.search(s.field, self.remedy) for s in self.sizes)
@@ -340,7 +363,7 @@ class Cause(Part, frozen=True, kw_only=True):
         return BRANCHES[self.branch] if self.branch else ""
 
     @property
-    def name(self) -> str:
+    def name(self) -> Annotated[str, Col("effect")]:
         """What is as sure as is said: the cause's name, in words; its set's, where no member is
         likely by itself; its branch's."""
         own = effect_words(self.effect)

@@ -103,36 +103,6 @@ def internal_wrenches(
     return out.permute(0, 3, 1, 2)
 
 
-@torch.no_grad()
-def wrench_norms(
-    robot: Robot,
-    q: Samples,
-    dq: Samples,
-    ddq: Samples,
-    parameters: InertialParameters,
-    *,
-    memory_limit: int = MEMORY_LIMIT,
-) -> tuple[Float[Tensor, "K T n"], Float[Tensor, "K T n"]]:
-    """Norms of the internal forces and moments of K sets, which the report plots (section 2.4).
-
-    Args:
-        robot, q, dq, ddq, parameters, memory_limit: as for `internal_wrenches`.
-
-    Returns:
-        (K, T, n) norms of the forces [N], and of the moments about the origins of the joint frames
-        [N m]. In memory the instants are neighbours.
-
-    Raises:
-        TorchidError: as for `internal_wrenches`.
-    """
-    check_sets(robot, (q, dq, ddq), parameters)
-    out = _empty((2, len(parameters.pi), robot.n_links, len(q)), q, memory_limit)
-    for sets, joint, instants, wrench in wrench_tiles(robot, (q, dq, ddq), parameters.pi):
-        out[:, sets, joint, instants] = square_norms(wrench).sqrt_()
-    force, moment = out.transpose(-1, -2)
-    return force, moment
-
-
 def square_norms(wrench: Float[Tensor, "2 k 3 t"]) -> Float[Tensor, "2 k t"]:
     """Squares of the norms of forces and moments."""
     x, y, z = wrench.unbind(2)

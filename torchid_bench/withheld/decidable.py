@@ -44,11 +44,12 @@ def classes_of(cases: CaseSet, *, jobs: int = 1, progress: Progress | None = Non
             break
     numbers = [k for k, case in enumerate(cases.ids) if case not in kept]
     judge = partial(judged, cases.seed, float(cases.background or 0.0))
-    new = each(judge, numbers, jobs, "asking the oracle", progress)
-    if not numbers:
-        return kept
-    kept |= {cases.ids[k]: one for k, one in zip(numbers, new, strict=True)}
-    write_json({"seed": cases.seed, "background": cases.background, "classes": kept}, beside)
+    for first in range(0, len(numbers), 2 * jobs):  # what is stopped goes on from here
+        some = numbers[first : first + 2 * jobs]
+        new = each(judge, some, jobs, f"asking the oracle, from {first + 1}", progress)
+        kept |= {cases.ids[k]: one for k, one in zip(some, new, strict=True)}
+        about = {"seed": cases.seed, "background": cases.background}
+        write_json({**about, "classes": kept}, beside)
     return kept
 
 

@@ -1,6 +1,6 @@
 """`torchid study`: the report's studies as one command."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Annotated
 
@@ -10,7 +10,6 @@ from torchid.app import options as opt
 from torchid.app.output import Output
 from torchid.app.signature import Fields, Switch, command
 from torchid.extraction.settings import Schedule
-from torchid.files import make_folder
 from torchid.robot.config_files import robot_file
 
 
@@ -36,7 +35,6 @@ def study_command(
     name: Annotated[str, typer.Argument(metavar="NAME")],
     quick: Switch = False,
     instead: Changes,
-    figures: bool = True,
     engine: opt.Crew,
     output: Annotated[Output, Fields("json_file out report overwrite quiet threads"), "study.json"],
     device_name: opt.Device = "cpu",
@@ -48,25 +46,32 @@ def study_command(
     Args:
         name: 3r, 3r_friction, kuka_lwr4, kuka_lwr4_friction, all; or a study's yaml file.
         quick: A fifth of the runs, stages and generations.
-        figures: Draw the figures into --out.
     """
-    out = output.out
+    from msgspec import structs
+
+    from torchid.files import make_folder
     from torchid_study.settings import load_study, study_file, study_names
 
     names = study_names() if name == "all" else [name]
     changed = {key: value for key, value in vars(instead).items() if value is not None}
     every = []
-    for given in names:
-        settings = load_study(given).quick() if quick else load_study(given)
-        every.append(replace(settings, search=replace(settings.search, **changed)))
+    for settings in map(load_study, names):
+        search = settings.search
+        if quick:
+            # 5: a fifth, of which some is left
+            least = {"runs": 4, "stages": 4, "generations": 10}
+            small = {key: max(few, getattr(search, key) // 5) for key, few in least.items()}
+            search = replace(search, **small)
+        every.append(structs.replace(settings, search=replace(search, **changed)))
+    from torchid.feasibility.sets import sets_record
     from torchid.parallel.workers import of
-    from torchid_study.report.study import page
+    from torchid.robot.library import load_robot
+    from torchid_study.report.study import report_of_study, study_page
     from torchid_study.study import run_study
 
-    crew = engine.crew
     studies = []
     for given, settings in zip(names, every, strict=True):
-        folder, file = None if out is None else out / settings.name, output.report
+        file = output.report
         if name == "all" and file is not None:
             # Each study has a page of its own: report_3r.html beside report.html.
             file = file.with_name(f"{file.stem}_{settings.name}{file.suffix}")
@@ -74,21 +79,28 @@ def study_command(
         files = output.hashed([("study", given, study_file(given)), robot_entry])
         with output.progress() as progress:
             report = of(progress, settings.name)
-            study = run_study(settings, device=device_name, workers=crew, report=report)
-        if folder is not None:
+            study = run_study(settings, device=device_name, workers=engine.crew, report=report)
+        if output.out is not None:
+            folder, robot = output.out / settings.name, load_robot(settings.robot)
             make_folder(folder)
-            study.save(folder / "study.json")
-            if figures:
-                page.write_study(study, folder)
-        about = page.seeds_and_settings(study)
-        output.write_page(partial(page.study_page, study), file, files=files, **about)
+            study.record.save(folder / "study.json")
+            for part, sets in {"sets": study.best, "all_sets": study.every}.items():
+                sets_record(sets, robot).save(folder / f"{part}.json")
+        search = settings.search
+        about = structs.asdict(settings) | {"search": asdict(search)}
+        output.write_page(
+            partial(study_page, study),
+            file,
+            files=files,
+            seeds={"seed of the search": search.seed},
+            settings=about,
+        )
         output.finish()  # each study is whole by itself
         studies.append(study)
-    records = [study.plain() for study in studies]
+    records = [study.record.plain() for study in studies]
     together = {"schema": "torchid.studies/1", "studies": records}
     output.write_json(together if name == "all" else records[0], "study.json")
     for study in studies:
-        output.tell(page.report_of_study(study))
-        if out is not None:
-            name = study.settings.name
-            output.say(f"results of {name} are in {out / name}")
+        output.tell(report_of_study(study))
+        if output.out is not None:
+            output.say(f"results of {study.record.study} are in {output.out / study.record.study}")

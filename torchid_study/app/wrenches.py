@@ -50,10 +50,17 @@ def wrenches_command(
             pseudo-inertias of the reference [kg m^2, kg].
         resamples: Of the bootstrap of the intervals.
     """
+    from msgspec import structs
+
     from torchid.feasibility.sets import other_robot, read_all_sets
     from torchid_study.equal_torque.given_sets import given_record
     from torchid_study.equal_torque.setting import equal_torque_setting, logged_motion
-    from torchid_study.report import equal_torque, given_sets
+    from torchid_study.report.wrenches import (
+        findings,
+        report_of_equal_torque,
+        report_of_given_sets,
+        unequal_torque,
+    )
 
     robot = opt.with_limits(arm.load(), None, max_acceleration)
     motion = None if trajectory is None else logged_motion(torchid.read_log(trajectory), robot)
@@ -68,8 +75,8 @@ def wrenches_command(
                 setting.robot, per_kind=per_kind, setting=setting, motion=motion,
                 resamples=resamples, seed=seed, progress=progress,
             )  # fmt: skip
-        data = {**study.plain(), "findings": equal_torque.findings(study)}
-        output.give(data, "wrenches.json", lambda _: equal_torque.report_of_equal_torque(study))
+        families = structs.replace(study.record, findings=tuple(findings(study.record)))
+        output.give(families, "wrenches.json", report_of_equal_torque)
         return
     given = read_all_sets(sets, robot)
     comparison = torchid.compare_wrenches(
@@ -77,11 +84,6 @@ def wrenches_command(
         resamples=resamples, seed=seed,
     )  # fmt: skip
     notes = [note for file in sets if (note := other_robot(file, robot))]
-    notes += given_sets.unequal_torque(comparison)
-    data = given_record(comparison, tuple(map(str, sets))).plain() | {"warnings": notes}
-    output.give(
-        data,
-        "wrenches.json",
-        lambda _: given_sets.report_of_given_sets(comparison, notes),
-        seed=seed,
-    )
+    record = given_record(comparison, tuple(map(str, sets)))
+    record = structs.replace(record, warnings=(*notes, *unequal_torque(record)))
+    output.give(record, "wrenches.json", report_of_given_sets, seed=seed)

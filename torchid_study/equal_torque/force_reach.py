@@ -13,6 +13,7 @@ The greatest error lies between the two: reached <= greatest <= bound.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ import torch
 from torchid.design.bodies import triangle
 from torchid.effects.base import Motion
 from torchid.extraction.convex.conic import Rows, minimise
+from torchid.results.record import Col
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -41,9 +43,9 @@ class ForceReach:
         bound: (n,) that no such set exceeds [N].
     """
 
-    kind: str
-    reached: Float[Tensor, " n"]
-    bound: Float[Tensor, " n"]
+    kind: Annotated[str, Col("what may be violated")]
+    reached: Annotated[Float[Tensor, " n"], Col()]
+    bound: Annotated[Float[Tensor, " n"], Col()]
 
 
 def force_squares(

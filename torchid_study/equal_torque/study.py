@@ -12,7 +12,7 @@ Three questions are kept apart: how far the forces of the *drawn* sets are (this
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ from torchid.feasibility.conditions import Conditions
 from torchid.feasibility.margins import Feasibility, feasibility
 from torchid.feasibility.sets import ParameterSets
 from torchid.inputs import RobotLike, as_robot
-from torchid.results.record import Ends, Part, Real, Record, Result, Rows
+from torchid.results.record import Col, Ends, Part, Real, Record, Result, Rows
 from torchid.robot.inertia import InertialParameters
 from torchid.robot.model import Robot
 from torchid.typing import Float, Tensor
@@ -47,7 +47,14 @@ from torchid_study.equal_torque.setting import (
 )
 from torchid_study.wrenches.classes import class_of, ordered_classes
 from torchid_study.wrenches.compare import RESAMPLES, Comparison, compare
-from torchid_study.wrenches.resampling import LEAST_SETS, Estimate, Sample, spearman
+from torchid_study.wrenches.resampling import (
+    LEAST_SETS,
+    Estimate,
+    Sample,
+    quartile_words,
+    quartiles,
+    spearman,
+)
 
 
 class SetErrors(Part, frozen=True, kw_only=True):
@@ -62,28 +69,39 @@ class SetErrors(Part, frozen=True, kw_only=True):
         carried: (n,) difference of the mass that each joint carries [kg].
     """
 
-    id: str
+    id: Annotated[str, Col("set")]
     kind: str | UnsetType = UNSET
-    feasible: bool
-    reasons: tuple[str, ...]
-    degree: Real
-    force_rms: Float[Tensor, " n"]
+    feasible: Annotated[bool, Col()]
+    reasons: Annotated[tuple[str, ...], Col()]
+    degree: Annotated[Real, Col(digits=".2g")]
+    force_rms: Annotated[Float[Tensor, " n"], Col("force error", unit="N")]
     force_max: Float[Tensor, " n"]
     force_norm_rms: Float[Tensor, " n"]
-    moment_rms: Float[Tensor, " n"]
-    torque_relative: Float[Tensor, " n"]
+    moment_rms: Annotated[Float[Tensor, " n"], Col("moment error", unit="N m")]
+    torque_relative: Annotated[Float[Tensor, " n"], Col("torque error over the torque", ".1g")]
     carried: Float[Tensor, " n"] = field(name="carried_mass_difference")
+
+    @property
+    def worst(self) -> float:
+        """Largest over the joints of the root mean square force error [N]."""
+        return float(self.force_rms.max())
+
+
+def _medians(of: Float[Tensor, "n 3"]) -> str:
+    return " ".join(f"{value:.3g}" for value in of[:, 1].tolist())
 
 
 class KindRecord(Part, frozen=True, kw_only=True):
     """Quartiles of the errors of one kind of sets: over the largest joint, and (n, 3) by joint."""
 
-    kind: str
-    sets: int
-    largest_force_rms: Float[Tensor, "3"]
-    force_rms: Float[Tensor, "n 3"]
-    moment_rms: Float[Tensor, "n 3"]
-    degree: Ends
+    kind: Annotated[str, Col("what is violated")]
+    sets: Annotated[int, Col()]
+    largest_force_rms: Annotated[Float[Tensor, "3"], Col("largest joint", words=quartile_words)]
+    force_rms: Annotated[
+        Float[Tensor, "n 3"], Col("force error by joint", unit="N", words=_medians)
+    ]
+    moment_rms: Annotated[Float[Tensor, "n 3"], Col("moment error", unit="N m", words=_medians)]
+    degree: Annotated[Ends, Col(digits=".2g")]
 
 
 @dataclass(frozen=True)
@@ -429,15 +447,11 @@ def _correlations(
 
 def _kind(study: EqualTorqueStudy, kind: str) -> KindRecord:
     rows = study.rows(kind)
-
-    def three(x: torch.Tensor) -> torch.Tensor:
-        return torch.quantile(x[rows], x.new_tensor([0.25, 0.5, 0.75]), dim=0).movedim(0, -1)
-
     return KindRecord(
         kind=kind,
         sets=len(rows),
-        largest_force_rms=three(study.worst),
-        force_rms=three(study.errors.force_rms),
-        moment_rms=three(study.errors.moment_rms),
+        largest_force_rms=quartiles(study.worst[rows]),
+        force_rms=quartiles(study.errors.force_rms[rows]),
+        moment_rms=quartiles(study.errors.moment_rms[rows]),
         degree=(float(study.degree[rows].min()), float(study.degree[rows].max())),
     )

@@ -2,6 +2,8 @@
 
 from collections.abc import Collection, Iterable, Mapping
 
+from torchid.feasibility.margins import kinds
+
 FEASIBLE = "feasible"
 MIXED = "mixed"
 KINDS: Mapping[str, str] = {
@@ -16,16 +18,10 @@ KINDS: Mapping[str, str] = {
 def class_of(reasons: Collection[str]) -> str:
     """Class of a set with these reasons: feasible without any, `... only` when all are of one kind
     (inertia_3 and inertia_5, say), mixed otherwise."""
-    known = sorted(KINDS, key=len, reverse=True)
-    kinds = {
-        next((k for k in known if f"{reason}_".startswith(f"{k}_")), reason.split("_")[0])
-        for reason in reasons
-    }
-    if not kinds:
-        return FEASIBLE
-    if len(kinds) > 1:
-        return MIXED
-    kind = kinds.pop()
+    found = kinds(tuple(reasons))
+    if len(found) != 1:
+        return MIXED if found else FEASIBLE
+    (kind,) = found
     return KINDS.get(kind, f"{kind} only")
 
 

@@ -45,13 +45,13 @@ class ClassSummary:
         note: why there is none, else empty.
     """
 
-    name: str
-    sets: int
+    name: Annotated[str, Col("sets that violate")]
+    sets: Annotated[int, Col()]
     usable: int
     clusters: int
-    median: float | None
-    lower_quartile: float | None
-    upper_quartile: float | None
+    median: Annotated[float | None, Col("median force error", unit="N")]
+    lower_quartile: Annotated[float | None, Col()]
+    upper_quartile: Annotated[float | None, Col()]
     note: str = ""
 
 

@@ -9,10 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy import stats
 
 from torchid.results.record import Real
 from torchid.statistics.resampling import Array, bootstrap, percentile_interval
+from torchid.typing import Float, Tensor
 
 Statistic = Callable[[Array], float]
 """Of the chosen samples' indices, repeats included; nan where it is not defined."""
@@ -100,12 +102,22 @@ class Sample:
         )
 
 
+def quartiles(values: Tensor) -> Tensor:
+    """Lower quartile, median and upper quartile (..., 3) over the first axis of (K, ...)."""
+    shares = values.new_tensor([0.25, 0.5, 0.75])
+    return torch.quantile(values, shares, dim=0).movedim(0, -1)
+
+
+def quartile_words(three: Float[Tensor, "3"]) -> str:
+    """`4.9 (3.2 - 7.7)`: median and quartiles."""
+    low, middle, high = three.tolist()
+    return f"{middle:.3g} ({low:.3g} - {high:.3g})"
+
+
 def spearman(x: Array, y: Array) -> float:
     """Spearman's rank correlation, ties at their mean rank; nan when one of them is constant."""
-    rx, ry = (stats.rankdata(v) for v in (x, y))
-    rx, ry = rx - rx.mean(), ry - ry.mean()
-    scale = float(np.sqrt((rx @ rx) * (ry @ ry)))
-    return float(rx @ ry) / scale if scale > 0 else float("nan")
+    with np.errstate(invalid="ignore"):
+        return float(np.corrcoef(stats.rankdata(x), stats.rankdata(y))[0, 1])
 
 
 def cliffs_delta(a: Array, b: Array) -> float:

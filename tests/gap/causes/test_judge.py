@@ -11,18 +11,6 @@ from torchid.statistics.bagging import Draws
 NOTHING_LEFT = np.zeros(4)
 
 
-def test_probabilities_add_up_to_one() -> None:
-    of = search("viscous_friction")
-    fit = of.evidence.fit((candidate(of, "viscous_friction", 1),), of.library.rows)
-    others = [
-        of.empty(),
-        of.evidence.fit((candidate(of, "coulomb_friction", 1),), of.library.rows),
-    ]
-    found = probabilities(of, fit, others, problem("viscous_friction").draws)
-    assert sum(found) == pytest.approx(1)
-    assert found[0] > 0.99
-
-
 def test_what_is_there_is_sure_and_what_is_not_is_nothing() -> None:
     of = search("viscous_friction")
     there, extra = candidate(of, "viscous_friction", 1), candidate(of, "torque_offset", 0)

@@ -5,9 +5,8 @@ import pytest
 import torch
 
 from tests.gap.causes.problems import NAMES, PLANTED, candidate, explanation, problem, search
-from tests.gap.problems import ROBOT, data_of, measured, problem_of, wanted_of
+from tests.gap.problems import ROBOT, measured, problem_of, wanted_of
 from torchid.effects.gravity import EncoderOffset, TorqueGain
-from torchid.effects.transient import Contact
 from torchid.gap.causes.candidates import Library
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.explain import WITH_BODIES, explain, with_bodies, with_likeliest
@@ -16,26 +15,6 @@ from torchid.gap.causes.search import Search
 from torchid.gap.torque import STAGES
 from torchid.parallel.pace import Pace
 from torchid.robot.inertia import InertialParameters
-
-
-@pytest.mark.parametrize("name", PLANTED)
-def test_what_was_planted_is_found_with_its_size(name: str) -> None:
-    found = explanation(search(name))
-    effect, values = PLANTED[name]
-    assert [(t.name, t.joints) for t in found.fit.terms] == [(name, effect.joints)]
-    assert found.fit.values()[0].tolist() == pytest.approx(values, rel=0.1)
-
-
-@pytest.mark.parametrize("hz", [None, 2.0])
-def test_nothing_is_found_in_noise(hz: float | None) -> None:
-    assert explanation(search(None, hz)).fit.terms == ()
-
-
-def test_two_causes_are_found_together() -> None:
-    planted = [PLANTED["viscous_friction"], PLANTED["torque_offset"]]
-    of = Search(Library(problem_of(measured(planted), wanted_of(NAMES))))
-    names = {(t.name, t.joints) for t in explanation(of).fit.terms}
-    assert names == {(e.name, e.joints) for e, _ in planted}
 
 
 def test_friction_that_the_file_has_and_the_arm_has_not_is_a_change_to_nothing() -> None:
@@ -89,21 +68,6 @@ def test_steps_are_told_and_no_set_comes_back() -> None:
     explanation(of)
     assert len(taken[0]) == 1
     assert len(set(taken)) == len(taken)
-
-
-def test_a_push_is_found_in_its_window() -> None:
-    quiet = measured([])
-    start, stop = 3.0, 4.5
-    push = Contact(start=start, stop=stop)
-    first = quiet.segments[0]
-    columns = push.torque_columns(first.motion, problem(None).robot)
-    tau = first.tau + columns @ torch.tensor([6.0, -4.0, 2.0], dtype=torch.float64)
-    data = data_of([replace(first, tau=tau), *quiet.segments[1:]])
-    of = Search(Library(problem_of(data, wanted_of((*NAMES, "contact")))))
-    (term,) = explanation(of).fit.terms
-    assert isinstance(term.effect, Contact)
-    assert term.effect.start == pytest.approx(start, abs=0.5)
-    assert term.effect.stop == pytest.approx(stop, abs=0.5)
 
 
 def test_a_cause_is_worth_what_it_lowers_where_it_was_not_fitted() -> None:

@@ -79,20 +79,6 @@ def test_no_gap_no_share(correlation):
     assert found.closed_ci95 is None
 
 
-def test_the_interval_covers_the_gap():
-    """Of twenty draws of noise, 95 % each."""
-    inside = 0
-    whole = []
-    for seed in range(20):
-        made = [trace(coulomb, left(0.2), seed=10 * seed + k, seconds=20.0) for k in range(2)]
-        found = closing(made, exact(), seed=seed)
-        truth = 1 - 0.2
-        inside += found.closed_ci95[0] < truth < found.closed_ci95[1]
-        whole.append(found.closed)
-    assert inside >= 16
-    assert sum(whole) / 20 == pytest.approx(0.8, abs=0.005)
-
-
 @pytest.mark.parametrize("source", ["repeats", "bracket"])
 def test_a_share_is_never_above_that_of_the_errors_but_for_noise(source):
     """Whatever the joints' sizes and noises: no share is above what the shown errors say, by more

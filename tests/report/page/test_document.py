@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -17,7 +16,6 @@ from torchid.errors import MissingExtraError, TorchidError
 from torchid.report.diagnosis import page as gap_page
 from torchid.report.page import document as rendering
 from torchid.report.page.document import input_files, render, require_page, write_page
-from torchid.report.table import Section
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -47,17 +45,6 @@ def test_written_whole_or_not_at_all(page, monkeypatch, tmp_path):
         write_page(page, path)
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["page.html"]
-
-
-def test_too_many_pictures_are_left_out_and_named(page, monkeypatch):
-    monkeypatch.setattr(rendering, "MOST_BYTES", 500_000)
-    monkeypatch.setattr(rendering, "inline_svg", lambda p: "<svg>" + 40_000 * "x" + "</svg>")
-    monkeypatch.setattr(rendering, "_plotly", lambda: None)
-    pictures = [replace(p, narrow=None) for p in page.pictures]
-    text = render(replace(page, picture=None, sections=[Section("Pictures", pictures)]))
-    assert text.count("<figure") == 2
-    assert f"{len(pictures) - 2} more figures" in text
-    assert len(text.encode()) < 500_000
 
 
 def test_hashes(tmp_path):

@@ -1,7 +1,6 @@
 """Every case is diagnosed once, without its key, whatever happens to the others."""
 
 import json
-import math
 from dataclasses import replace
 
 import pyarrow.parquet as pq
@@ -9,7 +8,6 @@ import pytest
 
 from torchid.errors import TorchidError
 from torchid.gap.settings import GapSettings
-from torchid.parallel.workers import each
 from torchid_bench.withheld import run as running
 from torchid_bench.withheld.case_set import keys_beside, make
 from torchid_bench.withheld.run import jobs_of, run
@@ -115,18 +113,6 @@ def test_the_diagnosis_needs_no_key(todo, tmp_path):
     assert [(w["effect"], w["joints"]) for w in found["which"]] == [("coulomb_friction", [2])]
     assert found["seconds"] > 0
     assert len(found["corrected"]["pi"]) == 2
-
-
-def test_the_same_in_other_processes():
-    said = []
-    found = each(math.sqrt, [1.0, 4.0, 9.0], 2, "roots", lambda *args: said.append(args))
-    assert found == [1.0, 2.0, 3.0]
-    assert said == [("roots", done, 3) for done in range(4)]
-
-
-def test_an_error_in_another_process_is_raised_here():
-    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        each(math.sqrt, [1.0, -1.0, 4.0], workers=2)
 
 
 def test_the_code_is_that_of_the_diagnosis():

@@ -64,7 +64,7 @@ def test_families_with_equal_torque(tmp_path):
     reach = {r["kind"]: r for r in data["reach"]}
     assert max(reach["feasible"]["bound"]) > feasible["largest_force_rms"][1]
     figures = {p.name for p in (tmp_path / "out").glob("*.png")}
-    assert figures == {"force_by_degree.png", "force_by_kind.png"}
+    assert figures == {"force_by_degree.png"}
 
 
 def test_given_sets_against_the_nominal_one(folder, tmp_path):

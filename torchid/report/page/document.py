@@ -1,18 +1,13 @@
-"""A page as HTML: one file, and nothing to load. Without scripts it is whole; with them its figures
-over time zoom (plotly, where it is installed), and the tables of a page with many rows sort.
-
-Scripts are allowed by their hashes alone. plotly's stands in the page once, compressed, and a few
-lines of the page's own unpack it.
+"""A page as HTML: one file, and nothing to load. Without scripts it is whole; with its one script,
+which is allowed by its hash alone, the tables of a page with many rows sort.
 
 A figure is SVG inside the page: transparent, its colours those of the page's theme. The house
 colours become CSS variables (templates/style.css gives them for light and dark), text takes the
 page's font, coordinates are rounded to a tenth of a point, and what cannot be seen is left out.
 """
 
-import gzip
 import hashlib
 import io
-import json
 import platform
 import re
 import shlex
@@ -21,9 +16,7 @@ from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from operator import contains
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,8 +37,6 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-MOST_BYTES = 3_000_000
-"""Of a page beside plotly's script, and more than any of them needs."""
 _PACKAGES = ("numpy", "scipy", "pytorch-kinematics", "clarabel", "matplotlib")
 
 
@@ -69,54 +60,25 @@ def require_page(file: Path) -> None:
 def render(page: Page) -> str:
     """The page as HTML.
 
-    Figures are inline SVG whose colours follow the reader's light or dark theme. Pictures beyond
-    `MOST_BYTES` are left out, and the page says so.
+    Figures are inline SVG whose colours follow the reader's light or dark theme.
 
     Raises:
         MissingExtraError: Jinja2 is not installed.
     """
     templates = environment()
-    library = _plotly() if any(p.numbers for p in page.pictures) else None
-    # 400_000: bytes of it that figures leave free
-    room, drawn, plots = MOST_BYTES - 400_000, {}, {}
+    drawn = {}
     for picture in page.pictures:
         svg = inline_svg(picture)
         if picture.narrow is not None:
             # The style sheet shows one of the two, by the width of the screen.
             own = replace(picture, name=f"{picture.name}_narrow", draw=picture.narrow)
             svg = f'<div class="wide">{svg}</div><div class="narrow">{inline_svg(own)}</div>'
-        if library is not None and picture.numbers is not None:
-            # As the text of a script element nothing in it may look like the end of one.
-            plots[picture.name] = json.dumps(picture.numbers()).replace("<", "\\u003c")
-        room -= len(svg.encode()) + len(plots.get(picture.name, ""))
-        if room < 0:
-            plots.pop(picture.name, None)
-            break
         drawn[picture.name] = svg
-    names = [*(["sort.js"] if page.sortable else []), *(["plots.js"] if plots else [])]
-    scripts = [templates.get_template(name).render() for name in names]
-    allowed = [*scripts, *([library[0]] if library is not None and plots else [])]
+    script = templates.get_template("sort.js").render() if page.sortable else ""
+    digest = hashlib.sha256(script.encode()).digest()
     return templates.get_template("page.html.j2").render(
-        page=page,
-        drawn=drawn,
-        plots=plots,
-        library=library[1] if library is not None and plots else "",
-        scripts=scripts,
-        # The page allows these scripts by their hashes, and no other.
-        hashes=[b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in allowed],
+        page=page, drawn=drawn, script=script, hash=b64encode(digest).decode()
     )
-
-
-@cache
-def _plotly() -> tuple[str, str] | None:
-    """plotly's script, and the same compressed, as base64; None where it is not installed."""
-    plotly = find_spec("plotly")
-    for place in (plotly.submodule_search_locations or []) if plotly is not None else []:
-        file = Path(place) / "package_data" / "plotly.min.js"
-        if file.is_file():
-            text = file.read_text(encoding="utf-8")
-            return text, b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
-    return None
 
 
 def _marked(text: Any) -> Any:

@@ -76,10 +76,9 @@ def write_index(folder: Path, page: Path) -> Path:
     write_text(
         page,
         template.render(
-            folder=folder, entries=entries(folder), link=link, hashes=[], scripts=[],
-            library="", version=torchid.__version__,
+            folder=folder, entries=entries(folder), link=link, version=torchid.__version__
         ),
-    )  # fmt: skip
+    )
     return page
 
 

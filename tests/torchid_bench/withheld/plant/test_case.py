@@ -9,7 +9,6 @@ import pytest
 from tests.marks import quick_first, some
 from tests.torchid_bench.withheld.plant.conftest import SHORT, quiet, short
 from torchid.errors import TorchidError
-from torchid.log.columns import log_from_columns
 from torchid_bench.withheld.plant.case import draw_case, simulate_case
 
 KEYS = {
@@ -40,24 +39,11 @@ def test_the_key_says_what_was_planted(case):
     assert gap[joint - 1] / noise[joint - 1] == pytest.approx(effect["size"], rel=1e-6)
 
 
-def test_torchid_reads_the_log(case, tmp_path):
-    log = log_from_columns(case.columns, tmp_path / "log.parquet")
-    assert log.n == 3
-    assert log.trajectory_count == 2
-    assert abs(len(log.t) - 2 * 4.0 * case.key["rate_hz"]) < 5
-
-
 def test_the_robot_does_not_tell(case):
     none = simulate_case(replace(viscous(), kind="none", effects=(), level=None))
     assert none.urdf == case.urdf
     assert none.key["effects"] == []
     assert max(np.array(none.key["true_gap_rms"]) / none.key["noise_std"]) < 0.1
-
-
-def test_the_same_spec_is_the_same_case(case):
-    again = simulate_case(viscous())
-    assert again.key == case.key
-    assert all((again.columns[name] == x).all() for name, x in case.columns.items())
 
 
 @pytest.mark.slow

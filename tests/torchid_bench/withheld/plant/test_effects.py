@@ -10,9 +10,8 @@ from tests.torchid_bench.withheld.plant.conftest import SHORT
 from torchid.effects.registry import FAMILIES
 from torchid_bench.withheld.plant.arms import arm_named
 from torchid_bench.withheld.plant.catalogue import FOREIGN, KINDS, LIBRARY, drawn_effect
-from torchid_bench.withheld.plant.laws import bristles
 from torchid_bench.withheld.plant.model import Drive, compiled, plant_of
-from torchid_bench.withheld.plant.plan import EffectSpec, Live, Plan
+from torchid_bench.withheld.plant.plan import EffectSpec, Plan
 from torchid_bench.withheld.plant.scene import nominal_of, scene_of
 from torchid_bench.withheld.plant.simulate import (
     gaps,
@@ -98,13 +97,6 @@ def test_the_gap_is_the_effects_torque(bench, name, draws, column):
     assert np.abs(gap[0][:, [0, 2]]).max() < 0.02 * np.abs(gap[0][:, 1]).max()
 
 
-def test_stiff_bristles_are_coulomb_friction_where_it_moves(bench):
-    _, traces, gap = shown(bench, effect("coulomb_friction", deflection=1e-4), 2.0)
-    thin = traces[0].truth.dq[:: round(0.004 / STEP), 1]
-    fast = np.abs(thin) > 0.4
-    np.testing.assert_allclose(gap[0][fast, 1], 2 * np.sign(thin[fast]), atol=0.1)
-
-
 @pytest.mark.slow
 def test_a_stiff_gear_is_no_effect(bench):
     scene, base, nominal = bench
@@ -153,13 +145,6 @@ def test_a_rotor_takes_no_more_than_its_link_has():
             assert np.linalg.eigvalsh(full)[0] > 1e-5
 
 
-def test_play_needs_a_reversal(bench):
-    """The link lies on one flank until its torque turns; then it moves by the width."""
-    _, _, gap = shown(bench, effect("backlash", joints=(2,)), 0.02)
-    _, _, less = shown(bench, effect("backlash", joints=(2,)), 0.002)
-    assert np.abs(gap[0][:, 2]).max() > 3 * np.abs(less[0][:, 2]).max()
-
-
 def test_an_encoder_offset_deceives_the_controller_too(bench):
     scene, base, nominal = bench
     plan, traces, _ = shown(bench, effect("encoder_offset", direction=1.0), 0.05)
@@ -185,16 +170,6 @@ def test_a_reading_clips_and_the_motion_does_not_know(bench):
     np.testing.assert_array_equal(reading.tau[small], traces[0].truth.tau[small])
 
 
-def test_velocities_lag(bench):
-    plan, traces, _ = shown(bench, effect("filter_lag", joints=()), 0.02)
-    reading, truth = readings(plan, traces)[0], traces[0].truth
-    late = round(0.02 / STEP)
-    error = reading.dq[late:] - truth.dq[:-late]
-    assert np.abs(error).max() < 0.05 * np.abs(truth.dq).max()
-    np.testing.assert_array_equal(reading.q, truth.q)
-    assert plan.own_velocity
-
-
 def test_friction_that_must_resist_is_known(bench):
     """A direction's friction below zero would drive the arm, so the nominal model knows more."""
     scene, base, _ = bench
@@ -215,33 +190,6 @@ def test_coupled_motors_add_what_the_other_joint_does(bench):
         error = gap[0][:, joint] + 0.5 * dq[:, other]
         assert np.median(np.abs(error)) < 0.05 * np.abs(dq[:, other]).max()
     assert plan.known_damping[1] == pytest.approx(base.known_damping[1] + 0.5)
-
-
-def test_a_known_payload_closes_the_gap(bench):
-    scene, base, nominal = bench
-    plan, _ = with_effect(scene, base, effect("payload", joints=()), 1.5)
-    traces = simulated(scene, plan, nominal, STEP)
-    assert plan.plant.payload is not None
-    truth = traces[0].truth
-    extra = nominal.rigid(truth.q, truth.dq, truth.ddq)
-    lifted = truth.tau - traces[0].friction - extra - base.known_damping * truth.dq
-    # At rest the payload's weight has a lever about joints 2 and 3 and none about the vertical.
-    assert np.abs(lifted[-1, 0]) < 0.01 * np.abs(lifted[-1, 1:]).max()
-    assert np.abs(lifted[-1, 1:]).max() > 0.5
-
-
-def test_bristles_forget_how_they_stood():
-    """A law on its own: after many deflections the torque is g, whatever came before."""
-    dq, applied = np.array([0.3]), np.zeros(1)
-    empty = np.zeros((1, 1))
-    live = Live(dq, dq, applied, dq, dq, np.array([0]), empty, dq, dq, np.zeros(1), 1e-3)
-    act = bristles(0, lambda v, k: 2.0, 1e-3)(live)
-    for speed in (0.3, -0.2):
-        dq[0] = speed
-        for k in range(200):
-            applied[:] = 0
-            act(k)
-        assert applied[0] == pytest.approx(-2.0 * np.sign(speed), rel=1e-6)
 
 
 @pytest.mark.slow

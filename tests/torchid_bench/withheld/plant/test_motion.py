@@ -28,13 +28,6 @@ def test_jerk_has_no_steps(motion):
     assert np.abs(np.diff(jerk, axis=0)).max() < 0.02 * np.abs(jerk).max()
 
 
-def test_it_rests_at_both_ends(motion):
-    q, dq, ddq = motion.state(np.array([-1.0, 0.0, 4.0, 5.0]))
-    np.testing.assert_allclose(q, np.tile(motion.middle, (4, 1)))
-    np.testing.assert_allclose(dq, 0.0, atol=1e-12)
-    np.testing.assert_allclose(ddq, 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize("name", list(ARMS))
 def test_limits_are_kept(name):
     arm = arm_named(name)
@@ -46,12 +39,3 @@ def test_limits_are_kept(name):
             assert (q <= [j.upper for j in arm.joints]).all()
             assert (np.abs(dq) <= 1.01 * level * np.array([j.velocity for j in arm.joints])).all()
             assert (np.abs(dq).max(0) > 0.1 * level).all()
-
-
-def test_only_what_is_told_moves():
-    from dataclasses import replace
-
-    plan = replace(SHORT, moving=(1,))
-    q, _, _ = sums(arm_named("3r"), plan)[0].state(np.arange(0, 4, 0.01))
-    assert np.ptp(q, axis=0)[1] > 0.1
-    assert np.ptp(q, axis=0)[[0, 2]].tolist() == [0.0, 0.0]

@@ -6,17 +6,18 @@ from typing import get_args
 import pytest
 import torch
 
-from tests.documents import ROOT
-from torchid.effects.base import Family, JointEffect, Motion
-from torchid.effects.registry import KINDS
-from torchid.report.catalogue import (
+from docs.draw_effects import (
     catalogue_page,
-    effect_record,
     example_motion,
     examples,
     picture_name,
     shown_torque,
 )
+from tests.documents import ROOT
+from torchid.effects.base import Family, JointEffect, Motion
+from torchid.effects.registry import KINDS
+from torchid.effects.servo import SERVO_KINDS
+from torchid.report.effects import effect_record, effect_table
 
 CLOSED_FORM = {
     name: kind
@@ -28,7 +29,7 @@ SHAPES = {"a": 1.7, "vs": 0.3, "T": 5.0, "k": 3.0, "limit": 0.4, "towards": -1.0
 
 def test_committed_page_is_what_the_program_writes() -> None:
     assert (ROOT / "docs/effects.md").read_text() == catalogue_page(), (
-        "run `torchid effects --out docs`"
+        "run `python docs/draw_effects.py`"
     )
     for family in get_args(Family):
         assert (ROOT / f"docs/img/{picture_name(family)}.png").stat().st_size > 0
@@ -40,6 +41,16 @@ def test_equation_holds_all_coefficients_and_shapes(name: str) -> None:
     kind = KINDS[name]
     assert {c.name for c in kind.coefficients} | {s.name for s in kind.shapes} <= words
     assert effect_record(kind)["equation"] == KINDS[name].equation
+
+
+@pytest.mark.parametrize("kind", [KINDS["stribeck_friction"], SERVO_KINDS["command_delay"]])
+def test_one_effect_is_told_in_full(kind) -> None:
+    """Every number that it has, with its unit and meaning, and what to do about it."""
+    one, rows = effect_record(kind), dict(effect_table(kind).rows)
+    for number in (*one["coefficients"], *one["shapes"]):
+        assert rows[f"{number['name']} [{number['unit']}]"] == number["meaning"]
+    assert rows["remedy"] == kind.remedy
+    assert rows["confused with"].split(", ") == one["confused_with"] != []
 
 
 @pytest.mark.parametrize("name", CLOSED_FORM)

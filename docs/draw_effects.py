@@ -1,12 +1,14 @@
-"""The catalogue of effects as a page, from the registry, with pictures of the families drawn from
-the effects' own columns."""
+"""Writes effects.md, the catalogue of effects, from the registry, and draws its pictures, of which
+each shows a family by its effects' own columns.
+
+`python docs/draw_effects.py`
+"""
 
 import math
 from collections.abc import Iterator, Mapping
-from functools import cache
 from itertools import cycle, groupby
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import torch
 
@@ -14,14 +16,12 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.effects.base import Abscissa, Effect, Family, Motion
 from torchid.effects.parameters import Scale
 from torchid.effects.registry import KINDS, not_fitted
-from torchid.effects.rivals import ALIKE, Rival, aged, rivals
+from torchid.effects.rivals import ALIKE, aged
 from torchid.effects.servo import SERVO_KINDS, ServoEffect
-from torchid.excitation.trajectories import random_trajectory
-from torchid.files import write_text
-from torchid.json_data import picked
 from torchid.report.colours import BLUE, GREEN, GREY, INK, ORANGE, RED
+from torchid.report.effects import SECONDS, known_rivals
 from torchid.report.panels import Figure, save, tiles
-from torchid.report.table import Table, pipe_table
+from torchid.report.table import pipe_table
 from torchid.robot.library import load_robot
 from torchid.robot.model import Robot
 from torchid.typing import Tensor
@@ -44,13 +44,10 @@ _SCALES: dict[Scale, str] = {
     "torque": " times the joint's 99 % torque",
     "travel": " times the joint's travel",
 }
-SEED, SECONDS, RATE, CUTOFF = 1, 20.0, 25.0, 8.0
-"""The motion that effects are compared along: its seed, duration [s], samples [Hz], band [Hz]."""
-
 _HEAD = """# The effects
 
 What besides the rigid body can make an arm's torque differ from a simulator's: {count} effects in
-{families} families. `torchid effects --out docs` writes this page.
+{families} families. `python docs/draw_effects.py` writes this page.
 
     tau = Y(q, dq, ddq) pi + sum of the effects
 
@@ -83,7 +80,7 @@ def catalogue_page() -> str:
         contents.append((f"[{family}](#{family})", links))
         parts += [f"## {family}\n\n{FAMILY_WORDS[family]}\n"]
         parts += [f"![Effects of the family {family}](img/{picture_name(family)}.png)\n"]
-        parts += [effect_text(kind, brief=True) for kind in members]
+        parts += [effect_text(kind) for kind in members]
     links = ", ".join(f"[{name}](#{name})" for name in SERVO_KINDS)
     contents.append(("[command and servo](#command-and-servo)", links))
     parts += ["## command and servo\n", _SERVOS, *map(servo_text, SERVO_KINDS.values())]
@@ -95,12 +92,12 @@ def picture_name(family: Family) -> str:
     return f"effects-{family}"
 
 
-def effect_text(kind: type[Effect], brief: bool = False) -> str:
-    """One effect in Markdown; briefly without sources, and what holds for most effects."""
-    # 4: of an effect on the page
+def effect_text(kind: type[Effect]) -> str:
+    """One effect in Markdown, without its source and what holds for most effects."""
+    # 4: of an effect
     alike = (
         f"[{r.name}](#{r.name}) {'exactly' if r.same else f'{r.correlation:.2f}'}"
-        for r in known_rivals(kind)[: 4 if brief else None]
+        for r in known_rivals(kind)[:4]
     )
     fitted = "`identify` and `gap`" if not_fitted(kind) is None else "`gap`"
     facts = (
@@ -120,67 +117,14 @@ def effect_text(kind: type[Effect], brief: bool = False) -> str:
             f"- shape `{s.name}` [{s.unit}], {s.low:g} to {s.high:g}{_SCALES[s.scale]}: {s.meaning}"
             for s in kind.shapes
         ),
-        *(f"- {name}: {x}" for name, x, usual in facts if x != usual or not brief),
+        *(f"- {name}: {x}" for name, x, usual in facts if x != usual),
         f"- signature: {kind.signature}",
         f"- confused with: {', '.join(alike)}",
         f"- experiment: {kind.experiment}",
         f"- remedy: {kind.remedy}",
-        *(() if brief else (f"- source: {kind.source}",)),
         "",
     ]
     return "\n".join(lines)
-
-
-def known_rivals(kind: type[Effect]) -> tuple[Rival, ...]:
-    """What an effect is confused with on a KUKA LWR IV+, computed once a process."""
-    return _all_rivals(tuple(KINDS.items()))[kind.name]
-
-
-@cache
-def _all_rivals(kinds: tuple[tuple[str, type[Effect]], ...]) -> dict[str, tuple[Rival, ...]]:
-    robot = load_robot("kuka_lwr4")
-    trajectory = random_trajectory(robot, SEED, fill=True, duration=SECONDS)
-    motion = trajectory.sample(RATE)
-    motion = motion._replace(torque=inverse_dynamics(robot, *motion.state))
-    joints = (0, 1, robot.n - 1)  # a vertical axis, the one that carries all, the tool's
-    return rivals(robot, [motion], CUTOFF, joints=joints, kinds=dict(kinds))
-
-
-def effects_table() -> Table:
-    """All effects by name, family, coefficients, logs that can show them, and meaning."""
-    rows = []
-    kinds: list[type[Effect] | ServoEffect] = [*KINDS.values(), *SERVO_KINDS.values()]
-    for kind in kinds:
-        if isinstance(kind, ServoEffect):
-            names = list(kind.parameters)
-        else:
-            names = [c.name for c in kind.coefficients]
-        numbers = ", ".join(names) if len(names) < 6 else f"{', '.join(names[:2])}, .. {names[-1]}"
-        rows.append((kind.name, kind.family, numbers, " ".join(kind.logs()), kind.meaning))
-    columns = ("effect", "family", "numbers", "logs", "what it is")
-    return Table(f"{len(rows)} effects", columns, rows, "ppppp")
-
-
-def effect_record(kind: type[Effect] | ServoEffect) -> dict[str, Any]:
-    """One effect as plain data."""
-    numbers: dict[str, Any]
-    if isinstance(kind, ServoEffect):
-        numbers = {"coefficients": [{"name": name} for name in kind.parameters], "shapes": []}
-        rivals, signature, source = [kind.twin] if kind.twin else [], "", ""
-    else:
-        numbers = {
-            "coefficients": [
-                picked(c, "name unit non_negative meaning") for c in kind.coefficients
-            ],
-            "shapes": [picked(s, "name unit meaning") for s in kind.shapes],
-        }
-        rivals = [r.name for r in known_rivals(kind)]
-        signature, source = kind.signature, kind.source
-    return {
-        **picked(kind, "effect=name family meaning equation"), **numbers,
-        "signature": signature, "confused_with": rivals, **picked(kind, "experiment remedy"),
-        "source": source, "logs": list(kind.logs()),
-    }  # fmt: skip
 
 
 def servo_text(effect: ServoEffect) -> str:
@@ -192,17 +136,6 @@ def servo_text(effect: ServoEffect) -> str:
         "- logs: of commands and positions; fitted by: `gap`\n"
         f"{rival}- experiment: {effect.experiment}\n- remedy: {effect.remedy}\n"
     )
-
-
-def write_catalogue(folder: Path) -> Path:
-    """Write effects.md, and its pictures to folder/img; returns the page's path."""
-    images = folder / "img"
-    images.mkdir(parents=True, exist_ok=True)
-    for family in get_args(Family):
-        save(family_figure(family), images / f"{picture_name(family)}.png")
-    page = folder / "effects.md"
-    write_text(page, catalogue_page())
-    return page
 
 
 def _coefficients(kind: type[Effect]) -> Iterator[str]:
@@ -276,3 +209,14 @@ def shown_torque(effect: Effect, motion: Motion, robot: Robot) -> Tensor:
     """Torque (T,) of an example on the joint that is drawn."""
     values = effect.example.values
     return effect.all_torques(aged(effect, motion, values), values, robot)[:, JOINT]
+
+
+def main() -> None:
+    folder = Path(__file__).parent
+    for family in get_args(Family):
+        save(family_figure(family), folder / f"img/{picture_name(family)}.png")
+    (folder / "effects.md").write_text(catalogue_page())
+
+
+if __name__ == "__main__":
+    main()
