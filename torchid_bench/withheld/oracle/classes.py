@@ -38,6 +38,7 @@ from torchid_bench.withheld.oracle.library import (
     candidate,
     grouped,
     left_open,
+    precisions,
     restored,
     shaped,
 )
@@ -208,22 +209,35 @@ def class_of(share: float, nothing: float, rival: float) -> str:
 
 
 def ranked(
-    half: Half, base: Terms, groups: Sequence[Group], effective: np.ndarray
+    half: Half,
+    base: Terms,
+    groups: Sequence[Group],
+    effective: np.ndarray,
+    crosses: dict[int, np.ndarray] | None = None,
 ) -> list[Candidate]:
     """Candidates by the rise of the evidence to first order, the best shape of each alone; none
-    whose one coefficient would be one that no arm has."""
-    of = base.fit(effective)
+    whose one coefficient would be one that no arm has.
+
+    Args:
+        half, base, groups, effective: what is asked.
+        crosses: products of the groups' columns with the base's, which is the one that these are of
+            or begins with it; they are brought up to it.
+    """
+    of, crosses = base.fit(effective), {} if crosses is None else crosses
     weight, left, best = effective / of.losses, base.left(of), dict[object, Any]()
-    for some, x in groups:
+    for number, (some, x) in enumerate(groups):
         felt = list(some[0].felt)
-        w = weight[felt]
+        w, every = weight[felt], np.stack([c.products for c in some])
         count = len(some), x.shape[1] // len(some)
-        into = independent(np.stack([c.precision(half) for c in some]))
+        into = independent(precisions(half, some, every))
         turned = into.swapaxes(1, 2)
         right = np.tensordot(w, x @ left[felt][..., None], 1).reshape(*count, 1)
         # What of their products the base leaves.
-        products = np.stack([np.tensordot(w, c.products, 1) for c in some])
-        u = np.tensordot(w, base.columns[felt] @ x.transpose(0, 2, 1), 1)
+        products = np.einsum("m,smcd->scd", w, every)
+        known = crosses.get(number, np.zeros((len(felt), 0, x.shape[1])))
+        new = base.columns[felt, known.shape[1] :] @ x.transpose(0, 2, 1)
+        crosses[number] = np.concatenate([known, new], 1)
+        u = np.tensordot(w, crosses[number], 1)
         parts = ((of.covariance @ u).reshape(-1, *count), u.reshape(-1, *count))
         whole = products - np.einsum("ksc,ksd->scd", *parts)
         inverse = np.linalg.inv(np.eye(count[1]) + turned @ whole @ into)
@@ -289,11 +303,12 @@ def already_there(half: Half) -> list[list[dict[str, Any]]]:
     """What is there before anything is planted: one after the other, the likeliest first, each as
     the records of its effects."""
     base, out, rows = left_open(half), list[Candidate](), half.gap.rows
+    crosses: dict[int, np.ndarray] = {}
     while len(out) < MOST_THERE:
         keys = {c.key for c in out}
         some = (
             possible(half, base, c, rows)
-            for c in ranked(half, base, half.library, rows)
+            for c in ranked(half, base, half.library, rows, crosses)
             if c.key not in keys
         )
         each = list(itertools.islice((p for p in some if p is not None), FITTED))

@@ -132,7 +132,7 @@ class Candidate:
     low: np.ndarray
     high: np.ndarray
 
-    @property
+    @cached_property
     def key(self) -> tuple[object, ...]:
         """Effect and place, whatever the shape."""
         return self.name, *(e.identity for e in self.effects)
@@ -149,20 +149,23 @@ class Candidate:
         x = self.columns.transpose(1, 0, 2)
         return x @ x.transpose(0, 2, 1)
 
-    def precision(self, half: Half) -> np.ndarray:
-        """(C, C) of its coefficients beforehand, see `TIMES_GAP`."""
-        felt = list(self.felt)
-        size = np.maximum(half.gap.rows[felt], 1.0) * (TIMES_GAP * half.size[felt]) ** 2
-        most = np.maximum(np.abs(self.low), np.abs(self.high)) / 2
-        return np.tensordot(1 / size, self.products, 1) + np.diag(np.maximum(most, 1e-300) ** -2.0)
-
     def scaled(self, half: Half) -> tuple[np.ndarray, np.ndarray]:
         """Columns (K, n, N) on all joints per standard deviation, and T (C, K)."""
-        into = independent(self.precision(half))
+        into = independent(precisions(half, [self], self.products[None])[0])
         into = into[:, into.any(0)]
         out = np.zeros((into.shape[1], len(half.size), self.columns.shape[-1]))
         out[:, list(self.felt)] = np.tensordot(into.T, self.columns, 1)
         return out, into
+
+
+def precisions(half: Half, some: Sequence[Candidate], products: np.ndarray) -> np.ndarray:
+    """(S, C, C) of the coefficients of a group beforehand, see `TIMES_GAP`; `products` (S, m, C, C)
+    of its candidates' columns."""
+    felt = list(some[0].felt)
+    size = np.maximum(half.gap.rows[felt], 1.0) * (TIMES_GAP * half.size[felt]) ** 2
+    most = np.stack([np.maximum(np.abs(c.low), np.abs(c.high)) / 2 for c in some])
+    least = np.maximum(most, 1e-300)[..., None] ** -2.0 * np.eye(most.shape[1])
+    return np.einsum("m,smcd->scd", 1 / size, products) + least
 
 
 Group = tuple[list[Candidate], np.ndarray]

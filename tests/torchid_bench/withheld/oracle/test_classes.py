@@ -17,6 +17,7 @@ from torchid_bench.withheld.oracle.classes import (
     class_of,
     ideally,
     in_practice,
+    ranked,
 )
 from torchid_bench.withheld.oracle.library import Half, grouped, half_of, left_open, library
 
@@ -164,3 +165,13 @@ def test_halves_of_one_motion_have_one_library(three: Arm) -> None:
     assert three.half(torch.zeros(1, 3).double()).library is three.bare.library
     moved = three.log.replace(q=three.log.q + 0.1)
     assert half_of(three.robot, moved, like=three.bare).alike is None
+
+
+def test_products_with_a_base_that_grew_are_those_of_the_whole(three: Arm) -> None:
+    base, rows = left_open(three.bare), three.bare.gap.rows
+    crosses: dict[int, np.ndarray] = {}
+    first = ranked(three.bare, base, three.bare.library, rows, crosses)[0]
+    more = base.with_(first.scaled(three.bare)[0])
+    known = ranked(three.bare, more, three.bare.library, rows, crosses)
+    assert known == ranked(three.bare, more, three.bare.library, rows)
+    assert {x.shape[1] for x in crosses.values()} == {more.columns.shape[1]}
