@@ -42,7 +42,6 @@ class Scored:
         level: size that was asked for, in standard deviations of the noise; None without one.
         row: what was planted and said.
         closed: closed share of the closable gap; 0 where none was claimed.
-        closed_ci95: its interval, or None.
         seconds: that the diagnosis took.
     """
 
@@ -53,7 +52,6 @@ class Scored:
     level: float | None
     row: Row
     closed: float
-    closed_ci95: tuple[float, float] | None
     seconds: float | None
 
     @property
@@ -65,8 +63,6 @@ class Scored:
 def scored_case(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     """A case from its key and answer, as they are in files."""
     far = answer.get("how_far") or {}
-    # As in a file, where what is not a number is null.
-    low, high = far.get("closed_ci95") or (None, None)
     return Scored(
         case=key["id"],
         kind=key["kind"],
@@ -75,7 +71,6 @@ def scored_case(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
         level=key.get("level"),
         row=row_of(key, answer),
         closed=float(far.get("closed") or 0.0),
-        closed_ci95=None if low is None or high is None else (float(low), float(high)),
         seconds=answer.get("seconds"),
     )
 

@@ -80,25 +80,18 @@ class SimulatedCase:
     earlier: dict[str, np.ndarray] | None = None
 
 
-def simulate_case(
-    spec: CaseSpec, *, ideal: bool = False, fresh: bool = False, bare: bool = False
-) -> SimulatedCase:
+def simulate_case(spec: CaseSpec, *, ideal: bool = False) -> SimulatedCase:
     """Simulate a case.
 
     Args:
         spec: what it is.
         ideal: whether its log is that of sensors without noise, counts and jitter; everything else
             stays as it is.
-        fresh: whether the same arm, with the same effects, moves along other trajectories of the
-            same kind.
-        bare: whether it is the arm without the effects.
 
     Raises:
         TorchidError: an unknown arm or effect, or a simulation that diverged.
         MissingExtraError: MuJoCo is not installed.
     """
-    if bare:
-        spec = replace(spec, effects=())
     if isinstance(spec, BackgroundSpec):
         files = of_background(spec, ideal=ideal)
         first, *more = files.logs
@@ -106,7 +99,7 @@ def simulate_case(
     if isinstance(spec, ServoSpec):
         return _of_servos(spec)
     assert isinstance(spec, TorqueSpec)
-    return _of_torques(spec, ideal=ideal, fresh=fresh)
+    return _of_torques(spec, ideal=ideal)
 
 
 def _of_servos(spec: ServoSpec) -> SimulatedCase:
@@ -146,7 +139,7 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
     return SimulatedCase(urdf(scene.arm, np.zeros(n), np.zeros(n)), columns, key)
 
 
-def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
+def _of_torques(spec: TorqueSpec, *, ideal: bool) -> SimulatedCase:
     # The scene, and the arm without effects.
     arm = arm_named(spec.arm)
     known = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
@@ -158,8 +151,6 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     ]
     if spec.poor:
         scene = moved_otherwise(scene, nominal, spec.poor)
-    if fresh:
-        scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
     plan, parameters = base, []
     for effect, one in zip(spec.effects, logs, strict=True):
         plan, own = with_effect(scene, plan, effect, one.scale)
