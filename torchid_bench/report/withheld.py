@@ -87,17 +87,21 @@ OUTCOMES = (
 )
 
 BACKGROUND = (
-    Line("decidable: named first", ("background", "first", "in_practice", "share")),
-    Line("decidable: in the first set", ("background", "in_set", "in_practice", "share")),
+    Line("decidable: named first", ("background", "first", "in_practice", "strictly", "share")),
     Line(
-        "decidable if the background were known: named first",
-        ("background", "first", "ideally", "share"),
+        "decidable: first of what is no small thing",
+        ("background", "first", "in_practice", "beside_small", "share"),
+    ),
+    Line("decidable: in its set", ("background", "first", "in_practice", "in_set", "share")),
+    Line(
+        "decidable if the background were known: first of what is no small thing",
+        ("background", "first", "ideally", "beside_small", "share"),
     ),
     Line("new names above .9: right", ("background", "sure", "share")),
-    Line("wrong ones: of the background", ("background", "wrong_of_background", "share")),
+    Line("new names above .9: right, or a small thing", ("background", "sure_or_there", "share")),
     Line("cases with a false name above .9", ("background", "cases_with_false_sure", "share")),
-    Line("nothing planted: new name above .5", ("background", "nothing", "likely", "share")),
-    Line("nothing planted: new name above .9", ("background", "nothing", "sure", "share")),
+    Line("nothing planted: false name above .5", ("background", "nothing", "likely", "share")),
+    Line("nothing planted: false name above .9", ("background", "nothing", "sure", "share")),
     Line("nothing planted: unexplained", ("background", "nothing", "unexplained", "share")),
     Line("of no library: unexplained, or an honest set", ("background", "outside", "share")),
     Line("sizes within 1 std", ("background", "within", "1", "share")),

@@ -17,6 +17,9 @@ from torchid_bench.withheld.rows import Claim, Planted, Row
 from torchid_bench.withheld.run import UNANSWERED
 from torchid_bench.withheld.score import Scored, scored_case
 
+WAYS = ("in_practice", "ideally")
+"""In which the oracle is asked."""
+
 SURE, LIKELY = 0.9, 0.5
 """Probabilities of a name itself from which on it is sure, and likelier than not."""
 
@@ -33,42 +36,41 @@ def background_scores(
         answers: by case.
         classes: of the planted effects, by the oracle.
     """
-    there = (key for key in keys if key["id"] in answers)
-    cases = [scored_case(key, answers[key["id"]]) for key in there]
-    answered = [c for c in cases if c.row.status not in UNANSWERED]
-    decidable = {how: _decidable(cases, classes, how) for how in ("in_practice", "ideally")}
-    sure = [(c.row, claim) for c in answered for claim in new(c.row) if _own(claim) >= SURE]
-    wrong = [claim for row, claim in sure if not right(row, claim)]
-    empty = [c.row for c in answered if c.kind == "none"]
-    outside = [_of_new(c.row) for c in answered if c.kind == "outside"]
-    errors = [z for c in answered for z in coefficient_errors(c.row)]
-    return plain(
-        {
-            "classes": {how: dict(_classes(classes, how)) for how in ("in_practice", "ideally")},
-            "first": {how: rate(hit for hit, _ in some) for how, some in decidable.items()},
-            "in_set": {how: rate(hit for _, hit in some) for how, some in decidable.items()},
-            # Of names that are sure: right ones; wrong ones that are of the background.
-            "sure": rate(right(row, claim) for row, claim in sure),
-            "wrong_of_background": rate(claim.name in NAMES for claim in wrong),
-            "cases_with_false_sure": rate(
-                any(_own(claim) >= SURE and not right(c.row, claim) for claim in new(c.row))
-                for c in answered
-            ),
-            # Of arms without an effect: whether something new is named, or an error is unexplained.
-            "nothing": {
-                "likely": rate(any(_own(c) > LIKELY for c in new(row)) for row in empty),
-                "sure": rate(any(_own(c) >= SURE for c in new(row)) for row in empty),
-                "unexplained": rate(row.status == "detected_unexplained" for row in empty),
-            },
-            "outside": rate(
-                verdict(row, every=False) in ("right_family", "hedged", "detected_unexplained")
-                for row in outside
-            ),
-            # Of effects named at their joints: whether a number is within so many deviations.
-            "within": {f"{z:g}": rate(e <= z for e in errors) for z in (1.0, 1.96)},
-            "names_a_case": sum(len(c.row.claims) for c in answered) / max(len(answered), 1),
-        }
-    )
+    known = [(scored_case(key, answers[key["id"]]), bool(key["earlier"]))
+             for key in keys if key["id"] in answers]  # fmt: skip
+    answered = [(c, earlier) for c, earlier in known if c.row.status not in UNANSWERED]
+    sure = [(c.row, x) for c, _ in answered for x in new(c.row) if _own(x) >= SURE]
+    wrong = [[_own(x) for x in new(c.row) if _false(c.row, x, earlier)] for c, earlier in answered]
+    nothing = [
+        (c.row, max(own, default=0.0))
+        for (c, _), own in zip(answered, wrong, strict=True)
+        if c.kind == "none"
+    ]
+    outside = [_of_new(c.row) for c, _ in answered if c.kind == "outside"]
+    errors = [z for c, _ in answered for z in coefficient_errors(c.row)]
+    return plain({
+        "classes": {how: dict(_classes(classes, how)) for how in WAYS},
+        # Decidable effects that are named: first, first of what is no small thing that is there,
+        # and in the set of one of these.
+        "first": {how: _decidable(known, classes, how) for how in WAYS},
+        # Of names that are sure: right ones, and those that are right or of a small thing.
+        "sure": rate(right(row, x) for row, x in sure),
+        "sure_or_there": rate(right(row, x) or x.name in NAMES for row, x in sure),
+        "cases_with_false_sure": rate(max(own, default=0.0) >= SURE for own in wrong),
+        # Of arms without an effect: whether something else is named, or an error is unexplained.
+        "nothing": {
+            "likely": rate(own > LIKELY for _, own in nothing),
+            "sure": rate(own >= SURE for _, own in nothing),
+            "unexplained": rate(row.status == "detected_unexplained" for row, _ in nothing),
+        },
+        "outside": rate(
+            verdict(row, every=False) in ("right_family", "hedged", "detected_unexplained")
+            for row in outside
+        ),
+        # Of effects named at their joints: whether a number is within so many deviations.
+        "within": {f"{z:g}": rate(e <= z for e in errors) for z in (1.0, 1.96)},
+        "names_a_case": sum(len(c.row.claims) for c, _ in answered) / max(len(answered), 1),
+    })  # fmt: skip
 
 
 def new(row: Row) -> list[Claim]:
@@ -98,18 +100,26 @@ def _of_new(row: Row) -> Row:
     return Row(row.status, row.planted, tuple(new(row)), row.not_testable, row.families)
 
 
-def _decidable(cases: Sequence[Scored], classes: Classes, how: str) -> list[tuple[bool, bool]]:
-    """Of each decidable effect whether it is named first, or one of the first names' sets has it:
-    of two effects there are two first names."""
-    out = []
-    for case in cases:
-        first = new(case.row)[: len(case.row.planted)]
-        for planted, known in zip(case.row.planted, classes.get(case.case, ()), strict=True):
+def _false(row: Row, claim: Claim, earlier: bool) -> bool:
+    """Whether a new claim is wrong: it names nothing that was planted, nor, where no earlier log
+    tells what was there, a small thing."""
+    return not right(row, claim) and (earlier or claim.name not in NAMES)
+
+
+def _decidable(cases: Sequence[tuple[Scored, bool]], classes: Classes, how: str) -> dict[str, Any]:
+    """Of each decidable effect whether it is named; of two effects there are two first names."""
+    out: dict[str, list[bool]] = {"strictly": [], "beside_small": [], "in_set": []}
+    for case, earlier in cases:
+        row, count = case.row, len(case.row.planted)
+        every = new(row)
+        first = [x for x in every if right(row, x) or _false(row, x, earlier)][:count]
+        for planted, known in zip(row.planted, classes.get(case.case, ()), strict=True):
             # What no library has can be told from nothing, but not be named.
             if known[how]["class"] == "decidable" and planted.family != "outside":
-                ways = ([_names(planted, c, in_set=x) for c in first] for x in (False, True))
-                out.append(tuple(map(any, ways)))
-    return out  # type: ignore[return-value]
+                out["strictly"].append(any(_names(planted, x) for x in every[:count]))
+                out["beside_small"].append(any(_names(planted, x) for x in first))
+                out["in_set"].append(any(_names(planted, x, in_set=True) for x in first))
+    return {name: rate(hits) for name, hits in out.items()}
 
 
 def _classes(classes: Classes, how: str) -> Mapping[str, int]:

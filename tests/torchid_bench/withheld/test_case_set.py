@@ -23,7 +23,7 @@ def test_a_set_is_read_as_it_was_written(made):
     assert found == made
     assert found.ids == ("case-0001", "case-0002", "case-0003")
     assert (found.seed, found.version) == (7, __version__)
-    log = read_log(found.log("case-0002"))
+    log = read_log(found.logs("case-0002"))
     columns = simulate_case(draw_case(7, 1)).columns
     assert log.tau[:, 1].tolist() == columns["tau2"].tolist()
     assert len(log.names) == 3
@@ -62,7 +62,7 @@ def test_a_smaller_set_is_the_beginning_of_a_larger_one(made, plant, tmp_path):
     for case in small.ids:
         assert small.logs(case)[0].read_bytes() == made.logs(case)[0].read_bytes()
     other = make(tmp_path / "other", 1, seed=8)
-    assert other.log("case-0001").read_bytes() != made.log("case-0001").read_bytes()
+    assert other.logs("case-0001")[0].read_bytes() != made.logs("case-0001")[0].read_bytes()
 
 
 def test_what_is_there_is_not_overwritten(made, plant, tmp_path):

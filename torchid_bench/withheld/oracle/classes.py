@@ -214,15 +214,16 @@ def ranked(
     whose one coefficient would be one that no arm has."""
     of = base.fit(effective)
     weight, left, best = effective / of.losses, base.left(of), dict[object, Any]()
-    for group in groups:
-        x, w, some = group.columns, weight[group.felt], group.candidates
+    for some, x in groups:
+        felt = list(some[0].felt)
+        w = weight[felt]
         count = len(some), x.shape[1] // len(some)
-        into = independent(group.precisions(half))
+        into = independent(np.stack([c.precision(half) for c in some]))
         turned = into.swapaxes(1, 2)
-        right = np.tensordot(w, x @ left[group.felt][..., None], 1).reshape(*count, 1)
+        right = np.tensordot(w, x @ left[felt][..., None], 1).reshape(*count, 1)
         # What of their products the base leaves.
         products = np.stack([np.tensordot(w, c.products, 1) for c in some])
-        u = np.tensordot(w, base.columns[group.felt] @ x.transpose(0, 2, 1), 1)
+        u = np.tensordot(w, base.columns[felt] @ x.transpose(0, 2, 1), 1)
         parts = ((of.covariance @ u).reshape(-1, *count), u.reshape(-1, *count))
         whole = products - np.einsum("ksc,ksd->scd", *parts)
         inverse = np.linalg.inv(np.eye(count[1]) + turned @ whole @ into)

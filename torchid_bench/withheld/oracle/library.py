@@ -42,7 +42,6 @@ class Half:
         keep: (n, N) samples in which the joint moves.
         torque: (n,) measured, RMS over these [N m; N].
         gap: to be explained.
-        wide: band of the segments [Hz].
         alike: another one of the same model and motion, which has the same library; None if none.
     """
 
@@ -50,7 +49,6 @@ class Half:
     keep: np.ndarray
     torque: np.ndarray
     gap: Gap
-    wide: float
     alike: "Half | None" = None
 
     @property
@@ -60,12 +58,9 @@ class Half:
 
     @cached_property
     def size(self) -> np.ndarray:
-        """(n,) RMS of the gap [N m; N]."""
-        return self.rms(self.gap.y) + 1e-4 * self.torque
-
-    def rms(self, x: np.ndarray) -> np.ndarray:
-        """(n,) of samples (n, N), over those that count."""
-        return np.sqrt((x**2 * self.keep).sum(1) / np.maximum(self.gap.rows, 1.0))
+        """(n,) RMS of the gap, over samples that count [N m; N]."""
+        mean = (self.gap.y**2).sum(1) / np.maximum(self.gap.rows, 1.0)
+        return np.sqrt(mean) + 1e-4 * self.torque
 
     @cached_property
     def library(self) -> "list[Group]":
@@ -93,7 +88,7 @@ def half_of(robot: Robot, log: Log, cutoff: float | None = None, like: Half | No
         highest = resolved(even, position_noise(even, robot), robot.free)
         narrow, wide = bands(even, cutoff, highest)
     else:
-        narrow, wide = like.columns.samples.cutoff, like.wide
+        narrow, wide = like.columns.samples.cutoff, like.columns.samples.segments[0].band
     measured = measurements(even, wide)
     threshold = reversal_speed(measured)
     segments = [
@@ -108,17 +103,13 @@ def half_of(robot: Robot, log: Log, cutoff: float | None = None, like: Half | No
     gap = Gap(columns.gap.numpy() * keep, rows, samples.bounds)
     torque = np.sqrt((tau**2 * keep).sum(1) / np.maximum(rows, 1.0))
     same = like is not None and same_columns(columns, like.columns)
-    return Half(columns, keep, torque, gap, wide, like if same else None)
+    return Half(columns, keep, torque, gap, like if same else None)
 
 
 def same_columns(one: Columns, other: Columns) -> bool:
     """Whether two have the same model and motion, so that effects have the same columns in both."""
-    pairs = list(zip(one.motions, other.motions, strict=False))
-    return len(one.motions) == len(other.motions) and all(
-        a is None or (b is not None and a.shape == b.shape and torch.equal(a, b))
-        for pair in pairs
-        for a, b in zip(*pair, strict=True)
-    )
+    signals = [[x for m in c.motions for x in m if x is not None] for c in (one, other)]
+    return len(signals[0]) == len(signals[1]) and all(map(torch.equal, *signals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +136,6 @@ class Candidate:
     def key(self) -> tuple[object, ...]:
         """Effect and place, whatever the shape."""
         return self.name, *(e.identity for e in self.effects)
-
-    def written(self) -> list[Any]:
-        """As in the file: name and joints, from 1."""
-        return [self.name, [j + 1 for j in self.joints]]
 
     def forbids(self, value: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Which of its coefficients (C,) are, with this covariance (C, C), none of any arm."""
@@ -178,26 +165,9 @@ class Candidate:
         return out, into
 
 
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Candidates with equally many coefficients, S of them, that the same m joints feel.
-
-    Attributes:
-        candidates: which.
-        columns: (m, S C, N).
-    """
-
-    candidates: list[Candidate]
-    columns: np.ndarray
-
-    @property
-    def felt(self) -> list[int]:
-        """The joints, from 0."""
-        return list(self.candidates[0].felt)
-
-    def precisions(self, half: Half) -> np.ndarray:
-        """(S, C, C)."""
-        return np.stack([c.precision(half) for c in self.candidates])
+Group = tuple[list[Candidate], np.ndarray]
+"""Candidates with equally many coefficients, S of them, that the same m joints feel; and their
+columns (m, S C, N)."""
 
 
 def grouped(candidates: Sequence[Candidate]) -> list[Group]:
@@ -206,7 +176,7 @@ def grouped(candidates: Sequence[Candidate]) -> list[Group]:
     for c in candidates:
         groups.setdefault((c.felt, len(c.columns)), []).append(c)
     return [
-        Group(some, np.concatenate([c.columns for c in some]).transpose(1, 0, 2).copy())
+        (some, np.concatenate([c.columns for c in some]).transpose(1, 0, 2).copy())
         for some in groups.values()
     ]
 
