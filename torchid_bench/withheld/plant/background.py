@@ -27,8 +27,8 @@ ELEMENTS = np.array([0.3, 0.8, 1.4, 2.2])
 NAMES = (
     "coulomb_friction", "viscous_friction", "power_law_friction", "load_dependent_friction",
     "stribeck_friction", "asymmetric_friction", "thermal_friction_drift", "presliding_hysteresis",
-    "load_hysteresis", "motor_dependent_friction", "motor_ripple", "torque_gain", "time_delay",
-    "filter_lag", "link_inertia", "all_base",
+    "load_hysteresis", "motor_ripple", "torque_gain", "time_delay", "filter_lag", "link_inertia",
+    "all_base",
 )  # fmt: skip
 """Of effects that the small things are, on every joint: who names one of them names what is there,
 however small."""

@@ -18,7 +18,7 @@ from torchid_bench.withheld.plant.draw import (
 )
 from torchid_bench.withheld.plant.logger import logged
 from torchid_bench.withheld.plant.model import plant_of
-from torchid_bench.withheld.plant.plan import EffectSpec, Plan, Scene
+from torchid_bench.withheld.plant.plan import Plan, Scene
 from torchid_bench.withheld.plant.scene import (
     friction_known,
     moved_otherwise,
@@ -26,9 +26,8 @@ from torchid_bench.withheld.plant.scene import (
     rms,
     scene_of,
 )
-from torchid_bench.withheld.plant.servo import Moved
 from torchid_bench.withheld.plant.servo_background import STANDARD, surroundings
-from torchid_bench.withheld.plant.servo_catalogue import SERVO_KINDS, ServoScene
+from torchid_bench.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid_bench.withheld.plant.servo_scene import (
     led_motions,
     placed_effect,
@@ -107,88 +106,61 @@ def simulate_case(
         first, *more = files.logs
         return SimulatedCase(files.urdf, first, files.key, (), tuple(more), files.earlier)
     if isinstance(spec, ServoSpec):
-        return _of_servos(spec) if spec.background is None else _of_servos_with_background(spec)
+        return _of_servos(spec)
     assert isinstance(spec, TorqueSpec)
     return _of_torques(spec, ideal=ideal, fresh=fresh)
 
 
 def _of_servos(spec: ServoSpec) -> SimulatedCase:
-    # Effects are placed and sized one after the other, each alone on the arm.
-    rng = np.random.default_rng([spec.seed, spec.number, 2])
-    scene = servo_scene(spec, rng)
-    plan, moved, count = scene.plan, scene.base, scene.servos.count
-    effects: list[dict[str, Any]] = []
-    taken: tuple[int, ...] = ()
+    # Effects are placed and sized one after the other, each alone on the arm as plain servos are.
+    rng = np.random.default_rng([spec.seed, spec.number, 2 if spec.background is None else 6])
+    around = None if spec.background is None else surroundings(spec)
+    scene = servo_scene(spec, rng) if around is None else around.scene
+    plan, moved, taken = scene.plan, scene.base, tuple[int, ...]()
+    if around is not None:
+        plan, moved, taken = around.plan, around.moved, around.still
+    count, effects = scene.servos.count, list[dict[str, Any]]()
     for one in spec.effects:
         effect = placed_effect(scene, one.name, rng, taken)
         taken += effect.joints
-        scale, rms, moved = visible_effect(scene, effect)
+        if around is None:
+            scale, rms, moved = visible_effect(scene, effect)
+        else:
+            scale, rms = standard_effect(scene, effect, STANDARD)
         plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
-        effects.append(_servo_record(effect, rms, own, count))
-    if len(effects) > 1:
+        felt = rms > max(MOVED * rms.max(), count / 2)
+        # Of the largest change, over what an encoder rounds to.
+        size = float(rms.max() / (count / np.sqrt(12)))
+        effects.append(effect_record(SERVO_KINDS, effect, felt, own, size))
+        if around is not None:
+            effects[-1]["over_background"] = float(rms.max() / around.left[rms.argmax()])
+    if len(effects) > 1 or (effects and around is not None):
         moved = led_motions(scene, plan)
-    first, *more = _bus(spec, scene.commands, moved)
-    lengths = [len(columns["t"]) for columns in (first, *more)]
-    columns = {name: np.concatenate([first[name], *(m[name] for m in more)]) for name in first}
-    columns["traj"] = np.repeat(np.arange(len(lengths)), lengths)
-    zero = np.zeros(scene.arm.n)
-    return SimulatedCase(urdf(scene.arm, zero, zero), columns, _servo_key(spec, scene, effects))
-
-
-def _of_servos_with_background(spec: ServoSpec) -> SimulatedCase:
-    # Effects are of standard size, each alone on plain servos: the background changes none.
-    around = surroundings(spec)
-    rng, scene = np.random.default_rng([spec.seed, spec.number, 6]), around.scene
-    plan, taken = around.plan, around.still
-    effects: list[dict[str, Any]] = []
-    for one in spec.effects:
-        effect = placed_effect(scene, one.name, rng, taken)
-        taken += effect.joints
-        scale, rms = standard_effect(scene, effect, STANDARD)
-        plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
-        record = _servo_record(effect, rms, own, scene.servos.count)
-        over = float(rms.max() / around.left[rms.argmax()])
-        effects.append({**record, "over_background": over})
-    there = led_motions(scene, plan) if effects else around.moved
-    key = _servo_key(spec, scene, effects)
-    key["background"] |= around.key
-    key |= {"share": spec.background, "left": around.left.tolist()}
-    first, *more = _bus(spec, scene.commands, there)
-    zero = np.zeros(scene.arm.n)
-    return SimulatedCase(urdf(scene.arm, zero, zero), first, key, more=tuple(more))
-
-
-def _servo_record(
-    effect: EffectSpec, rms: np.ndarray, own: dict[str, Any], count: float
-) -> dict[str, Any]:
-    felt = rms > max(MOVED * rms.max(), count / 2)
-    # Of the largest change, over what an encoder rounds to.
-    return effect_record(SERVO_KINDS, effect, felt, own, float(rms.max() / (count / np.sqrt(12))))
-
-
-def _bus(
-    spec: ServoSpec, commands: list[np.ndarray], moved: list[Moved]
-) -> list[dict[str, np.ndarray]]:
-    """What the bus carries in each motion: commands, and positions in counts."""
-    return [
+    # What the bus carries: commands, and positions in counts.
+    files = [
         {
             "t": np.arange(len(u)) / spec.rate_hz,
             **{f"u{j + 1}": x for j, x in enumerate(u.T)},
             **{f"q{j + 1}": x for j, x in enumerate(m.logged.T)},
         }
-        for u, m in zip(commands, moved, strict=True)
+        for u, m in zip(scene.commands, moved, strict=True)
     ]
-
-
-def _servo_key(spec: ServoSpec, scene: ServoScene, effects: list[dict[str, Any]]) -> dict[str, Any]:
     values = {name: scene.of(name).tolist() for name in scene.servos.values}
-    return {
+    key = {
         **picked(spec, "kind arm rate_hz"),
         "level": None,
         "effects": effects,
         "background": {**values, **picked(scene.plan.plant, "damping armature")},
         "counts": spec.counts,
     }
+    model = urdf(scene.arm, np.zeros(scene.arm.n), np.zeros(scene.arm.n))
+    if around is None:
+        rows = [len(u) for u in scene.commands]
+        columns = {name: np.concatenate([f[name] for f in files]) for name in files[0]}
+        return SimulatedCase(model, {**columns, "traj": np.repeat(np.arange(len(rows)), rows)}, key)
+    key["background"] |= around.key
+    key |= {"share": spec.background, "earlier": False, "left": around.left.tolist()}
+    return SimulatedCase(model, files[0], key, more=tuple(files[1:]))
 
 
 def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:

@@ -24,11 +24,17 @@ from torchid_bench.withheld.plant.servo_friction import (
     published,
 )
 from torchid_bench.withheld.plant.servo_scene import servo_plan
-from torchid_bench.withheld.plant.waves import drawn_waves
+from torchid_bench.withheld.plant.waves import drawn_waves, pull_of
 
 STANDARD = 0.01
 """A cause of standard size changes the positions of the joint that it moves most by so much, RMS
 [rad]: about the median of what is planted with a size of 1."""
+
+NAMES = (
+    "stribeck_friction", "load_dependent_friction", "motor_dependent_friction", "torque_offset",
+    "command_delay",
+)  # fmt: skip
+"""Of effects that the small things are, masses and jitter among them."""
 
 _CREEP = 0.02  # rad/s below which a joint stands
 _MOVES = 0.05  # rad/s: a joint that never is so fast does not move
@@ -40,7 +46,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Surroundings:
-    """An arm of servos without faults.
+    """An arm of servos without faults; of plain servos it is their scene alone.
 
     Attributes:
         scene: as plain servos are, and how they move.
@@ -77,20 +83,23 @@ def surroundings(spec: ServoSpec) -> Surroundings:
     gear = gears(laws, np.array([j.effort for j in arm.joints]))
     q, dq, ddq = (np.concatenate(x) for x in zip(*states, strict=True))
     load, moves = nominal.rigid(q, dq, ddq), np.abs(dq) > _CREEP
-    bound = gear.bound(dq, load + np.sign(dq) * (gear.base + gear.stribeck), -load)
+    bound = gear.bound(
+        dq, load + np.sign(dq) * (gear.numbers["base"] + gear.numbers["stribeck"]), -load
+    )
     plain = (bound * moves).sum(0) / np.maximum(moves.sum(0), 1)
     # Plain servos of that friction.
     plan, inertia = servo_plan(spec, numbers(2))
     assert plan.servos is not None
     servos = replace(plan.servos, values={**plan.servos.values, "coulomb": plain})
-    plant = replace(plan.plant, damping=plan.plant.damping + gear.viscous)
+    plant = replace(plan.plant, damping=plan.plant.damping + gear.numbers["viscous"])
     plan, commands = replace(plan, plant=plant, servos=servos), [u for u, _, _ in states]
     scene = ServoScene(arm, plan, inertia, commands, moved(plant, servos, commands))
     # The small things.
     rng = numbers(5)
     sag, jitter = rng.uniform(0.005, 0.03) / scene.torque.sum(), rng.uniform(0.05, 0.4)
     small = {"sag": np.full(arm.n, sag), "jitter": np.full(arm.n, jitter)}
-    beyond = Beyond(gear, plain, zero, drawn_waves(rng, arm.n), zero)
+    waves = drawn_waves(rng, arm.n)
+    beyond = Beyond(gear, plain, zero, waves, pull_of(waves, q).mean(0), zero)
     servos = replace(servos, values={**servos.values, **small})
     plan = replace(plan, plant=imperfect(rng, plant))
     goal = max(spec.background or 0.0, _LEAST) * STANDARD
@@ -99,7 +108,7 @@ def surroundings(spec: ServoSpec) -> Surroundings:
     still = tuple(np.flatnonzero(speed < _MOVES).tolist())
     key = {"laws": [" ".join(law) for law in laws], "sag": sag, "jitter": jitter}
     assert made.servos is not None
-    key |= picked(made.servos.beyond, "share waves cable")
+    key |= picked(made.servos.beyond, "share waves level cable")
     return Surroundings(scene, made, there, left, still, key)
 
 

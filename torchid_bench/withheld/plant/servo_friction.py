@@ -11,7 +11,8 @@ M1: F0; M2: with F1; M3: F0 and k_e = k_m; M4: with F1 and c_e = c_m; M5: with s
 with Q.
 """
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -22,50 +23,38 @@ from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.waves import pull_of
 
 _LEAST = 0.2  # of the constant part
+_NUMBERS = {
+    "base": (0.0, 1), "stribeck": (0.0, 1), "viscous": (0.0, 1), "speed": (1.0, 0),
+    "alpha": (1.0, 0), "motor": (0.0, 0), "external": (0.0, 0), "motor_stribeck": (0.0, 0),
+    "external_stribeck": (0.0, 0), "motor_quad": (0.0, -1), "external_quad": (0.0, -1),
+}  # fmt: skip
+"""Neutral value of each number of a gear, and its power of the torque."""
 LAWS = ("m1", "m2", "m3", "m4", "m5", "m6")
 
 
 @dataclass(frozen=True)
 class GearFriction:
-    """Dry friction of gears; arrays are (n,).
+    """Dry friction of gears.
 
     Attributes:
-        base, stribeck: F0, F1 [N m].
-        motor, external, motor_stribeck, external_stribeck: k_m, k_e, c_m, c_e [1].
-        motor_quad, external_quad: coefficients of Q [1/(N m)].
-        speed, alpha: v [rad/s], a [1].
-        viscous: friction besides [N m s/rad].
+        numbers: (n,) by name: base, stribeck: F0, F1 [N m]; motor, external, motor_stribeck,
+            external_stribeck: k_m, k_e, c_m, c_e [1]; motor_quad, external_quad: coefficients of Q
+            [1/(N m)]; speed, alpha: v [rad/s], a [1]; and viscous friction besides [N m s/rad].
     """
 
-    base: Array
-    stribeck: Array
-    motor: Array
-    external: Array
-    motor_stribeck: Array
-    external_stribeck: Array
-    motor_quad: Array
-    external_quad: Array
-    speed: Array
-    alpha: Array
-    viscous: Array
+    numbers: Mapping[str, Array]
 
     def bound(self, dq: Array, motor: Array, external: Array) -> Array:
         """Dry friction (.., n) at speeds [rad/s] and torques (.., n) [N m]."""
-        driven, drawn = np.abs(motor), np.abs(external)
+        p, driven, drawn = self.numbers, np.abs(motor), np.abs(external)
         square = np.where(
-            drawn < driven, self.external_quad * drawn**2, self.motor_quad * driven**2
+            drawn < driven, p["external_quad"] * drawn**2, p["motor_quad"] * driven**2
         )
-        fading = self.stribeck + square * (motor * external < 0)
-        fading += np.abs(self.external_stribeck * external - self.motor_stribeck * motor)
-        fading *= np.exp(-((np.abs(dq) / self.speed) ** self.alpha))
-        out: Array = self.base + np.abs(self.external * external - self.motor * motor) + fading
+        fading = p["stribeck"] + square * (motor * external < 0)
+        fading += np.abs(p["external_stribeck"] * external - p["motor_stribeck"] * motor)
+        fading *= np.exp(-((np.abs(dq) / p["speed"]) ** p["alpha"]))
+        out: Array = p["base"] + np.abs(p["external"] * external - p["motor"] * motor) + fading
         return out
-
-    def of_torque(self, ratio: Array) -> "GearFriction":
-        """The same gears for so many times the torque."""
-        more = {name: getattr(self, name) * ratio for name in ("base", "stribeck", "viscous")}
-        less = {name: getattr(self, name) / ratio for name in ("motor_quad", "external_quad")}
-        return replace(self, **more, **less)
 
 
 @dataclass(frozen=True)
@@ -77,6 +66,7 @@ class Beyond:
         plain: the part of it that is a plain servo's [N m].
         share: how much of the rest is there [1].
         waves: (n, 5, 3) of a joint's cable, see `drawn_waves`.
+        level: their mean along the motions, where cables do not pull [1].
         cable: its torque [N m].
     """
 
@@ -84,6 +74,7 @@ class Beyond:
     plain: Array
     share: Array
     waves: Array
+    level: Array
     cable: Array
 
     def dry(self, dry: Array, dq: Array, motor: Array, external: Array) -> Array:
@@ -93,7 +84,7 @@ class Beyond:
 
     def pull(self, q: Array) -> Array:
         """Of the cables [N m]."""
-        return self.cable * pull_of(self.waves, q)
+        return self.cable * (pull_of(self.waves, q) - self.level)
 
 
 @cache
@@ -112,13 +103,12 @@ def torque_of(servo: str, law: str) -> float:
     return own["kt"] * (own["amps"] if "amps" in own else own["volts"] / own["R"])
 
 
-def gears(laws: list[tuple[str, str]], effort: Array) -> GearFriction:
+def gears(laws: Sequence[tuple[str, str]], effort: Array) -> GearFriction:
     """Gears of joints, each of a servo and a law, scaled to their torques (n,) [N m]."""
-    own = [published()[servo][law] for servo, law in laws]
-    columns = {}
-    for name in (f.name for f in fields(GearFriction)):
-        either = name.replace("motor", "load").replace("external", "load")
-        neutral = float(name in ("speed", "alpha"))
-        columns[name] = np.array([x.get(name, x.get(either, neutral)) for x in own])
     ratio = effort / np.array([torque_of(*law) for law in laws])
-    return GearFriction(**columns).of_torque(ratio)
+    numbers = {}
+    for name, (neutral, grows) in _NUMBERS.items():
+        both = name.replace("motor", "load").replace("external", "load")
+        own = (published()[servo][law] for servo, law in laws)
+        numbers[name] = np.array([x.get(name, x.get(both, neutral)) for x in own]) * ratio**grows
+    return GearFriction(numbers)

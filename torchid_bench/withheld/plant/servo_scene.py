@@ -1,5 +1,6 @@
 """The scene of an arm of servos: its drives, its motions, and effects that its log shows."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -136,10 +137,7 @@ def standard_effect(scene: ServoScene, effect: EffectSpec, standard: float) -> t
     tried = list[tuple[float, Array]]()
     (low, high), scale = SCALES, 1.0
     for _ in range(TRIES):
-        plan, _ = SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)
-        there = zip(led_motions(scene, plan), scene.base, strict=True)
-        change = np.concatenate([a.logged - b.logged for a, b in there])
-        rms = np.sqrt((change**2).mean(0))
+        _, rms = _changed(scene, effect, scale, lambda m: m.logged)
         tried.append((scale, rms))
         off = standard / max(float(rms.max()), 1e-9)
         low, high = (max(low, scale), high) if off > 1 else (low, min(high, scale))
@@ -156,12 +154,18 @@ def visible_effect(scene: ServoScene, effect: EffectSpec) -> tuple[float, Array,
     the positions [rad], and how the arm moves."""
     scale = 1.0
     for _ in range(TRIES):
-        found = led_motions(
-            scene, SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)[0]
-        )
-        change = np.concatenate([a.q - b.q for a, b in zip(found, scene.base, strict=True)])
-        rms = np.sqrt((change**2).mean(0))
+        there, rms = _changed(scene, effect, scale, lambda m: m.q)
         if rms.max() > SEEN * scene.servos.count:
             break
         scale *= LARGER
-    return scale, rms, found
+    return scale, rms, there
+
+
+def _changed(
+    scene: ServoScene, effect: EffectSpec, scale: float, of: Callable[[Moved], Array]
+) -> tuple[list[Moved], Array]:
+    """How the arm moves with an effect alone, and the RMS (n,) of what it changes [rad]."""
+    plan, _ = SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)
+    there = led_motions(scene, plan)
+    change = np.concatenate([of(a) - of(b) for a, b in zip(there, scene.base, strict=True)])
+    return there, np.sqrt((change**2).mean(0))
