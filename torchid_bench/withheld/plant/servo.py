@@ -53,7 +53,7 @@ class Servos:
         count: step of the encoders [rad].
         rate_hz: of the log and of the commands.
         seed: of commands that are dropped, and of jitter.
-        beyond: friction that the gears have beyond a plain servo's; None of plain servos.
+        beyond: friction and cables beyond a plain servo's; None of plain servos.
     """
 
     values: Mapping[str, Array] = field(default_factory=dict)

@@ -1,7 +1,9 @@
 """What every arm of servos has besides its faults: gears whose friction is that of published ones
 and not a plain servo's, links that weigh 3 to 10 % more or less than described, a supply that sags
-a little, commands that come by a fraction of a sample too late. There is so much of the gears'
-friction that what a plain servo leaves of all that has the size that is asked for."""
+a little, commands that come by a fraction of a sample too late, cables that pull as two joints
+stand. What the best plain servo leaves of all that has, on each joint, the size that is asked for:
+a share of the gears' friction is there that makes it so, and cables pull only where all of it is
+less."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,11 +20,7 @@ from torchid_bench.withheld.plant.recorded import STYLES, Recorded, recorded
 from torchid_bench.withheld.plant.scene import Nominal, nominal_of
 from torchid_bench.withheld.plant.servo import Moved, Servos, moved
 from torchid_bench.withheld.plant.servo_catalogue import ServoScene
-from torchid_bench.withheld.plant.servo_friction import (
-    Beyond,
-    gears,
-    published,
-)
+from torchid_bench.withheld.plant.servo_friction import Beyond, gears, published
 from torchid_bench.withheld.plant.servo_scene import servo_plan
 from torchid_bench.withheld.plant.waves import drawn_waves, pull_of
 
@@ -46,7 +44,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True)
 class Surroundings:
-    """An arm of servos without faults; of plain servos it is their scene alone.
+    """An arm of servos without faults.
 
     Attributes:
         scene: as plain servos are, and how they move.
@@ -83,9 +81,8 @@ def surroundings(spec: ServoSpec) -> Surroundings:
     gear = gears(laws, np.array([j.effort for j in arm.joints]))
     q, dq, ddq = (np.concatenate(x) for x in zip(*states, strict=True))
     load, moves = nominal.rigid(q, dq, ddq), np.abs(dq) > _CREEP
-    bound = gear.bound(
-        dq, load + np.sign(dq) * (gear.numbers["base"] + gear.numbers["stribeck"]), -load
-    )
+    dry = gear.numbers["base"] + gear.numbers["stribeck"]
+    bound = gear.bound(dq, load + np.sign(dq) * dry, -load)
     plain = (bound * moves).sum(0) / np.maximum(moves.sum(0), 1)
     # Plain servos of that friction.
     plan, inertia = servo_plan(spec, numbers(2))
