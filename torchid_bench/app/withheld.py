@@ -140,9 +140,13 @@ def score_command(
     result = summary(cases, opened, answers)
     if cases.background is not None:
         from torchid_bench.withheld.background_score import background_scores
-        from torchid_bench.withheld.decidable import classes_of
+        from torchid_bench.withheld.decidable import classes_of, servo_classes
 
         with output.progress() as progress:
-            classes = classes_of(cases, jobs=workers.count, progress=progress)
+            classes = (
+                servo_classes(opened)
+                if cases.kind == "position"
+                else classes_of(cases, jobs=workers.count, progress=progress)
+            )
         result["scores"]["background"] = background_scores(opened, answers, classes)
     output.give(result, "score.json", report_of_summary)

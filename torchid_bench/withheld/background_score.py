@@ -9,10 +9,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from torchid.effects.registry import FAMILIES
 from torchid.json_data import plain
 from torchid_bench.withheld.decidable import Classes
 from torchid_bench.withheld.measures import coefficient_errors, rate, verdict
-from torchid_bench.withheld.plant.background import NAMES
+from torchid_bench.withheld.plant import background, servo_background
 from torchid_bench.withheld.rows import Claim, Planted, Row
 from torchid_bench.withheld.run import UNANSWERED
 from torchid_bench.withheld.score import Scored, scored_case
@@ -55,7 +56,7 @@ def background_scores(
         "first": {how: _decidable(known, classes, how) for how in WAYS},
         # Of names that are sure: right ones, and those that are right or of a small thing.
         "sure": rate(right(row, x) for row, x in sure),
-        "sure_or_there": rate(right(row, x) or x.name in NAMES for row, x in sure),
+        "sure_or_there": rate(right(row, x) or _small(row, x) for row, x in sure),
         "cases_with_false_sure": rate(max(own, default=0.0) >= SURE for own in wrong),
         # Of arms without an effect: whether something else is named, or an error is unexplained.
         "nothing": {
@@ -100,10 +101,16 @@ def _of_new(row: Row) -> Row:
     return Row(row.status, row.planted, tuple(new(row)), row.not_testable, row.families)
 
 
+def _small(row: Row, claim: Claim) -> bool:
+    """Whether a claim names a small thing that every arm has, of torques or of servos."""
+    of = background if row.families is FAMILIES else servo_background
+    return claim.name in of.NAMES
+
+
 def _false(row: Row, claim: Claim, earlier: bool) -> bool:
     """Whether a new claim is wrong: it names nothing that was planted, nor, where no earlier log
     tells what was there, a small thing."""
-    return not right(row, claim) and (earlier or claim.name not in NAMES)
+    return not right(row, claim) and (earlier or not _small(row, claim))
 
 
 def _decidable(cases: Sequence[tuple[Scored, bool]], classes: Classes, how: str) -> dict[str, Any]:

@@ -207,9 +207,9 @@ def make(
             nineteen cases four without an effect, eight with one, three with two or three, four
             outside the library.
         background: instead of a mix, of arms as they are without faults on motions as people record
-            them: what a fit of all usual laws leaves of it, of a cause of standard size [1]. Of 24
-            cases 4 have no effect, 12 one, 4 two, 4 one outside the library; half have an earlier
-            log.
+            them: what a fit of all usual laws, or of plain servos, leaves of it, of a cause of
+            standard size [1]. Of 24 cases 4 have no effect, 12 one, 4 two, 4 one outside the
+            library; half of those with torques have an earlier log.
         robots: `arms`; or `tree`: a quadruped, two arms with grippers and the upper body of a
             humanoid, or one of them by name. Of twenty cases of these five have no effect, and
             fifteen one.
@@ -231,9 +231,8 @@ def make(
     if robots != "arms" and mix != "mixed":
         raise TorchidError("robots that branch have one mix.", got=mix, expected="mixed")
     if background is not None:
-        if (kind, mix, robots) != ("torque", "mixed", "arms"):
-            got = f"{kind}, {mix}, {robots}"
-            raise TorchidError("a background is of arms with torques, in one mix.", got=got)
+        if (mix, robots) != ("mixed", "arms"):
+            raise TorchidError("a background is of arms, in one mix.", got=f"{mix}, {robots}")
         if not 0 <= background <= MOST_BACKGROUND:
             expected = f"0 to {MOST_BACKGROUND:g}"
             raise TorchidError("no such background.", got=background, expected=expected)
@@ -246,7 +245,8 @@ def make(
     if robots != "arms":
         given = {"mix": "tree" if kind == "torque" else "tree_position", "robots": robots}
     if background is not None:
-        given = {"mix": "background", "background": background}
+        own = "background" if kind == "torque" else "position_background"
+        given = {"mix": own, "background": background}
     words = (f".{folder.name}", str(seed), *map(str, given.values()))
     place = folder.resolve().parent / "-".join(words)
     (place / KEPT).mkdir(parents=True, exist_ok=True)

@@ -1,14 +1,17 @@
 """What can be known of the cases of a set with a background: classes of its effects by the oracle,
-ideally and in practice.
+ideally and in practice; of servos by how much they change the positions.
 
 Classes of a set are kept beside its keys, DIR.classes.json; those of the sets that a release is
 judged by are in the package and are not made again.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+import numpy as np
 
 from torchid.json_data import read_json, write_json
 from torchid.log.readers import read_log
@@ -25,6 +28,27 @@ FIXED = Path(__file__).with_name("classes")
 
 Classes = dict[str, list[dict[str, Any]]]
 """By case: of each effect its classes `ideally` and `in_practice`."""
+
+
+SHOWN = 2.0
+"""Least change of positions that an effect of servos makes, over what their encoders round to [1];
+in practice it is larger than what plain servos leave of the background too."""
+
+
+def servo_classes(keys: Sequence[Mapping[str, Any]]) -> Classes:
+    """Classes of all effects of a set of arms of servos, from its keys."""
+
+    def known(effect: Mapping[str, Any], over: float) -> dict[str, str]:
+        shown = effect["size"] >= SHOWN and over > 1.0
+        return {"class": "decidable" if shown else "undecidable"}
+
+    return {
+        key["id"]: [
+            {"in_practice": known(e, e["over_background"]), "ideally": known(e, np.inf)}
+            for e in key["effects"]
+        ]
+        for key in keys
+    }
 
 
 def classes_of(cases: CaseSet, *, jobs: int = 1, progress: Progress | None = None) -> Classes:

@@ -179,7 +179,9 @@ def _servo_claims(answer: Mapping[str, Any]) -> list[Claim]:
         others = sorted({other for cause in own for other in cause["ambiguous_with"]} - {name})
         joints, family = place or tuple(range(1, n + 1)), own[0]["family"]
         values = _from_intervals(own[0]) if len(own) == 1 else {}
-        claims.append(Claim(name, family, place, joints, tuple(others), gain, values))
+        # What is said of a set is said of no name in it.
+        sure = None if others else max(cause.get("how_sure") or 0.0 for cause in own)
+        claims.append(Claim(name, family, place, joints, tuple(others), gain, values, own=sure))
     return claims
 
 

@@ -119,3 +119,29 @@ def test_a_log_without_an_answer_has_named_nothing():
 def test_of_an_effect_of_no_library_an_honest_answer_is_right(which, status, honest):
     creep = key("a", "outside", ("creep", "outside", 2, ("hysteresis", "phase")))
     assert share(scores(creep, answer(status, *which)), "outside") == (honest, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "others", "false"),
+    [
+        # Small things of servos, and a name without a probability of its own.
+        ("motor_dependent_friction", [], 0),
+        ("torque_offset", [], 0),
+        ("command_gain", ["joint_spring"], 0),
+        ("command_gain", [], 1),
+        # One of torques is none of servos.
+        ("coulomb_friction", [], 1),
+    ],
+)
+def test_servos_have_small_things_of_their_own(name, others, false):
+    cause = {
+        "effect": name, "family": "servo", "joints": [1], "ambiguous_with": others,
+        "parameters": {}, "ci95": {}, "error_without_mrad": 2.0, "error_with_mrad": 1.0,
+        "how_sure": 0.95,
+    }  # fmt: skip
+    said = answer("explained", cause) | {
+        "schema": "torchid.position_gap/1", "where": {"joints": [{}, {}]}
+    }  # fmt: skip
+    outcome = scores(key("a", "none"), said, ())
+    assert share(outcome, "cases_with_false_sure") == (false, 1)
+    assert share(outcome, "nothing", "sure") == (false, 1)

@@ -85,6 +85,25 @@ def test_cases_of_positions_have_one_mix(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("kind", "mix"), [("torque", "background"), ("position", "position_background")]
+)
+def test_arms_have_a_background_whatever_their_logs_have(plant, tmp_path, kind, mix):
+    given = []
+
+    def drawn(seed, number, **what):
+        given.append(what)
+        return plain(seed, number)
+
+    plain, plant.draw_case = plant.draw_case, drawn
+    make(tmp_path / "set", 2, seed=1, kind=kind, background=0.15)
+    again = read_cases(tmp_path / "set")
+    assert (again.kind, again.background) == (kind, 0.15)
+    assert given == [{"mix": mix, "background": 0.15}] * 2
+    with pytest.raises(TorchidError, match="a background is of arms"):
+        make(tmp_path / "other", 2, seed=1, kind=kind, robots="tree", background=0.15)
+
+
 def test_keys_cannot_lie_among_the_cases(plant, tmp_path):
     with pytest.raises(TorchidError, match="must not lie in"):
         make(tmp_path / "set", 1, seed=1, keys=tmp_path / "set" / "keys.json")

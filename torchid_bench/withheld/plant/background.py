@@ -17,6 +17,7 @@ from torchid_bench.withheld.plant.along import STEP, Path, slipping, together
 from torchid_bench.withheld.plant.bodies import Array, deformed
 from torchid_bench.withheld.plant.model import Plant
 from torchid_bench.withheld.plant.plan import Plan, Scene
+from torchid_bench.withheld.plant.waves import drawn_waves, pull_of
 
 Rng = np.random.Generator
 
@@ -103,9 +104,7 @@ def drawn_background(rng: Rng, scene: Scene) -> Background:
         phase=rng.uniform(0, 2 * np.pi, n),
         gain=rng.uniform(-0.02, 0.02, n),
         late=rng.uniform(1e-3, 3e-3) + rng.uniform(0, 2e-3, n).clip(0, 1e-3),
-        waves=np.concatenate(
-            [1.5 * rng.standard_normal((n, 5, 2)), rng.uniform(0, 2 * np.pi, (n, 5, 1))], 2
-        ),
+        waves=drawn_waves(rng, n),
         scale=np.ones(n),
         cable=np.zeros(n),
     )
@@ -146,15 +145,7 @@ def small_things(b: Background, plan: Plan, path: Path, load: Array, warm: float
     limit = np.maximum(b.scale * limit, (_LEAST - 1) * known)
     viscous = wet * np.sign(path.dq) * (speed**b.bend * b.usual ** (1 - b.bend) - speed)
     ripple = b.ripple * load * np.sin(b.wave * path.q + b.phase)
-    return limit * path.bent + b.scale * (viscous + ripple) + b.cable * _pull(b, path.q)
-
-
-def _pull(b: Background, q: Array) -> Array:
-    """Of cables, (T, n) about 1: five plane waves, a draw of a Gaussian process (Rahimi and Recht
-    2007) over a joint's position and its neighbour's."""
-    beside = np.roll(q, 1, axis=1)
-    k, m, phase = np.moveaxis(b.waves, -1, 0)
-    return np.asarray(0.63 * np.sin(k * q[..., None] + m * beside[..., None] + phase).sum(-1))
+    return limit * path.bent + b.scale * (viscous + ripple) + b.cable * pull_of(b.waves, path.q)
 
 
 def scaled(
@@ -178,14 +169,14 @@ def scaled(
         size: RMS that is left, of each joint's RMS torque [1].
     """  # fmt: skip
     moving = np.abs(np.concatenate([p.dq[::_EVERY] for p in paths])) > 2 * _CREEP
-    pull = together([_pull(b, p.q) for p in paths], STEP, _EVERY)
+    pull = together([pull_of(b.waves, p.q) for p in paths], STEP, _EVERY)
     goal = size * scene.torque * np.sqrt(moving.sum(0))
     for stiffer in (True, True, False):
         bent = together([p.bent - _sign(p.dq) for p in paths], STEP, _EVERY)
         parts = [small_things(b, plan, p, x, warm) for p, x in zip(paths, loads, strict=True)]
         signals = np.stack([plan.plant.friction * bent, together(parts, STEP, _EVERY), pull], 2)
         left = [
-            _left(laws[rows], x[rows])
+            left_of(laws[rows], x[rows])
             for laws, x, rows in zip(
                 _usual_laws(b, paths, loads), signals.transpose(1, 0, 2), moving.T, strict=True
             )
@@ -211,7 +202,7 @@ def _sign(dq: Array) -> Array:
     return np.clip(dq / _CREEP, -1.0, 1.0)
 
 
-def _left(laws: Array, x: Array) -> Array:
+def left_of(laws: Array, x: Array) -> Array:
     """What laws (T, K) leave of signals (T, M)."""
     return np.asarray(x - laws @ np.linalg.lstsq(laws, x, rcond=1e-8)[0])
 

@@ -26,11 +26,13 @@ from torchid_bench.withheld.plant.scene import (
     rms,
     scene_of,
 )
+from torchid_bench.withheld.plant.servo_background import STANDARD, surroundings
 from torchid_bench.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid_bench.withheld.plant.servo_scene import (
     led_motions,
     placed_effect,
     servo_scene,
+    standard_effect,
     visible_effect,
 )
 from torchid_bench.withheld.plant.settings import DRAWS
@@ -103,31 +105,39 @@ def simulate_case(spec: CaseSpec, *, ideal: bool = False) -> SimulatedCase:
 
 
 def _of_servos(spec: ServoSpec) -> SimulatedCase:
-    # Effects are placed and sized one after the other, each alone on the arm.
-    rng = np.random.default_rng([spec.seed, spec.number, 2])
-    scene = servo_scene(spec, rng)
-    plan, moved, count = scene.plan, scene.base, scene.servos.count
-    effects: list[dict[str, Any]] = []
-    taken: tuple[int, ...] = ()
+    # Effects are placed and sized one after the other, each alone on the arm as plain servos are.
+    rng = np.random.default_rng([spec.seed, spec.number, 2 if spec.background is None else 6])
+    around = None if spec.background is None else surroundings(spec)
+    scene = servo_scene(spec, rng) if around is None else around.scene
+    plan, moved, taken = scene.plan, scene.base, tuple[int, ...]()
+    if around is not None:
+        plan, moved, taken = around.plan, around.moved, around.still
+    count, effects = scene.servos.count, list[dict[str, Any]]()
     for one in spec.effects:
         effect = placed_effect(scene, one.name, rng, taken)
         taken += effect.joints
-        scale, rms, moved = visible_effect(scene, effect)
+        if around is None:
+            scale, rms, moved = visible_effect(scene, effect)
+        else:
+            scale, rms = standard_effect(scene, effect, STANDARD)
         plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
         felt = rms > max(MOVED * rms.max(), count / 2)
         # Of the largest change, over what an encoder rounds to.
         size = float(rms.max() / (count / np.sqrt(12)))
         effects.append(effect_record(SERVO_KINDS, effect, felt, own, size))
-    if len(effects) > 1:
+        if around is not None:
+            effects[-1]["over_background"] = float(rms.max() / around.left[rms.argmax()])
+    if len(effects) > 1 or (effects and around is not None):
         moved = led_motions(scene, plan)
     # What the bus carries: commands, and positions in counts.
-    n, rows = scene.arm.n, [len(u) for u in scene.commands]
-    columns = {
-        "t": np.concatenate([np.arange(k) / spec.rate_hz for k in rows]),
-        **{f"u{j + 1}": np.concatenate([u[:, j] for u in scene.commands]) for j in range(n)},
-        **{f"q{j + 1}": np.concatenate([m.logged[:, j] for m in moved]) for j in range(n)},
-        "traj": np.repeat(np.arange(len(rows)), rows),
-    }
+    files = [
+        {
+            "t": np.arange(len(u)) / spec.rate_hz,
+            **{f"u{j + 1}": x for j, x in enumerate(u.T)},
+            **{f"q{j + 1}": x for j, x in enumerate(m.logged.T)},
+        }
+        for u, m in zip(scene.commands, moved, strict=True)
+    ]
     values = {name: scene.of(name).tolist() for name in scene.servos.values}
     key = {
         **picked(spec, "kind arm rate_hz"),
@@ -136,7 +146,14 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
         "background": {**values, **picked(scene.plan.plant, "damping armature")},
         "counts": spec.counts,
     }
-    return SimulatedCase(urdf(scene.arm, np.zeros(n), np.zeros(n)), columns, key)
+    model = urdf(scene.arm, np.zeros(scene.arm.n), np.zeros(scene.arm.n))
+    if around is None:
+        rows = [len(u) for u in scene.commands]
+        columns = {name: np.concatenate([f[name] for f in files]) for name in files[0]}
+        return SimulatedCase(model, {**columns, "traj": np.repeat(np.arange(len(rows)), rows)}, key)
+    key["background"] |= around.key
+    key |= {"share": spec.background, "earlier": False, "left": around.left.tolist()}
+    return SimulatedCase(model, files[0], key, more=tuple(files[1:]))
 
 
 def _of_torques(spec: TorqueSpec, *, ideal: bool) -> SimulatedCase:
