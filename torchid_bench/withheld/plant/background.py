@@ -12,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.polynomial import polyfit
 
 from torchid_bench.withheld.plant.along import STEP, Path, slipping, together
 from torchid_bench.withheld.plant.bodies import Array, deformed
@@ -35,7 +36,7 @@ however small."""
 
 _EVERY = 10  # rows of a fit are so many instants apart: what is below the band, and no more
 _STIFFEST = 3e-4  # presliding of a joint [rad]
-_MOST = 2.0  # of what papers say of friction and ripple; what is left of the size is a cable's
+_MOST = 1.0  # of what papers say of friction and ripple; what is left of the size is a cable's
 _LEAST = 0.2  # share of dry friction that is left whatever changes it
 _CREEP = 0.01  # rad/s below which a direction is none, in the laws that are fitted
 
@@ -57,6 +58,7 @@ class Background:
         late: of the torque channel [s].
         waves: (n, 5, 3) of a joint's cable: numbers along its position and its neighbour's, phase
             [rad].
+        level: (2, n) torque and stiffness of the cables, which are a weight's and a spring's.
         scale: of friction and ripple, as found by `scaled` [1].
         cable: torque of the cable, as found there [N m].
     """
@@ -76,6 +78,7 @@ class Background:
     gain: Array
     late: Array
     waves: Array
+    level: Array
     scale: Array
     cable: Array
 
@@ -91,7 +94,7 @@ def drawn_background(rng: Rng, scene: Scene) -> Background:
     waves = np.maximum(3, np.round(2 * np.pi * rng.uniform(2.0, 8.0, n) / scene.speed.clip(0.1)))
     return Background(
         presliding=np.exp(rng.uniform(np.log(3e-4), np.log(3e-3), n)),
-        load=rng.uniform(0.02, 0.08, n),
+        load=rng.uniform(0.01, 0.04, n),
         excess=rng.uniform(0.1, 0.5, n),
         speed=rng.uniform(0.03, 0.15, n) * scene.speed.clip(0.1),
         bend=rng.uniform(0.6, 0.95, n),
@@ -105,6 +108,7 @@ def drawn_background(rng: Rng, scene: Scene) -> Background:
         gain=rng.uniform(-0.02, 0.02, n),
         late=rng.uniform(1e-3, 3e-3) + rng.uniform(0, 2e-3, n).clip(0, 1e-3),
         waves=drawn_waves(rng, n),
+        level=np.zeros((2, n)),
         scale=np.ones(n),
         cable=np.zeros(n),
     )
@@ -145,7 +149,12 @@ def small_things(b: Background, plan: Plan, path: Path, load: Array, warm: float
     limit = np.maximum(b.scale * limit, (_LEAST - 1) * known)
     viscous = wet * np.sign(path.dq) * (speed**b.bend * b.usual ** (1 - b.bend) - speed)
     ripple = b.ripple * load * np.sin(b.wave * path.q + b.phase)
-    return limit * path.bent + b.scale * (viscous + ripple) + b.cable * pull_of(b.waves, path.q)
+    return limit * path.bent + b.scale * (viscous + ripple) + b.cable * _pull(b, path.q)
+
+
+def _pull(b: Background, q: Array) -> Array:
+    """Of cables (T, n), without their mean and slope along the asked motions."""
+    return pull_of(b.waves, q) - b.level[0] - b.level[1] * q
 
 
 def scaled(
@@ -169,7 +178,10 @@ def scaled(
         size: RMS that is left, of each joint's RMS torque [1].
     """  # fmt: skip
     moving = np.abs(np.concatenate([p.dq[::_EVERY] for p in paths])) > 2 * _CREEP
-    pull = together([pull_of(b.waves, p.q) for p in paths], STEP, _EVERY)
+    q = np.concatenate([p.q[::_EVERY] for p in paths])
+    slopes = [polyfit(x, y, 1) for x, y in zip(q.T, pull_of(b.waves, q).T, strict=True)]
+    b = replace(b, level=np.stack(slopes, 1))
+    pull = together([_pull(b, p.q) for p in paths], STEP, _EVERY)
     goal = size * scene.torque * np.sqrt(moving.sum(0))
     for stiffer in (True, True, False):
         bent = together([p.bent - _sign(p.dq) for p in paths], STEP, _EVERY)

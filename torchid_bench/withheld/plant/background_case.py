@@ -49,6 +49,7 @@ FELT = 0.01
 """Share of a joint's torque from which on it feels an effect: the least that is worth a name."""
 
 _COARSE = 4  # each so many instants tell how large an effect is
+_WARM = 1500.0, 3000.0  # seconds for which an arm had moved before its log: it is warm, not done
 _FASTER = 0.05  # rad/s: a joint that never is so fast does not move
 _ACTS = 0.01  # of the largest torque of what comes and goes, from which on it is there
 
@@ -158,7 +159,7 @@ def _session(rng: Rng, arm: Arm, known: tuple[Array, Array], styles: Sequence[st
     starts = (0.0, *ends[:-1].tolist())
     share = float(rng.uniform(*DRAWS.noise))
     scene = scene_along(nominal, motions, tuple(range(len(styles))), starts, arm, share)
-    return Session(scene, [], float(rng.uniform(0.0, 900.0)))
+    return Session(scene, [], float(rng.uniform(*_WARM)))
 
 
 def _placed(rng: Rng, spec: BackgroundSpec, arm: Arm, session: Session) -> list[EffectSpec]:

@@ -9,7 +9,7 @@ def drawn_waves(rng: np.random.Generator, n: int) -> Array:
     """Plane waves (n, 5, 3) of each joint: numbers along its position and its neighbour's, and
     phase [rad]."""
     numbers, phase = rng.standard_normal((n, 5, 2)), rng.uniform(0, 2 * np.pi, (n, 5, 1))
-    return np.concatenate([1.5 * numbers, phase], 2)
+    return np.concatenate([2.0 * numbers, phase], 2)
 
 
 def pull_of(waves: Array, q: Array) -> Array:
