@@ -179,8 +179,10 @@ def scaled(
     """  # fmt: skip
     moving = np.abs(np.concatenate([p.dq[::_EVERY] for p in paths])) > 2 * _CREEP
     q = np.concatenate([p.q[::_EVERY] for p in paths])
-    slopes = [polyfit(x, y, 1) for x, y in zip(q.T, pull_of(b.waves, q).T, strict=True)]
-    b = replace(b, level=np.stack(slopes, 1))
+    pairs = zip(q.T, pull_of(b.waves, q).T, strict=True)
+    # Of a joint that stands the mean alone.
+    slopes = [polyfit(x, y, [0, 1] if np.ptp(x) > 1e-6 else [0]) for x, y in pairs]
+    b = replace(b, level=np.stack([np.resize([*c, 0.0], 2) for c in slopes], 1))
     pull = together([_pull(b, p.q) for p in paths], STEP, _EVERY)
     goal = size * scene.torque * np.sqrt(moving.sum(0))
     for stiffer in (True, True, False):
