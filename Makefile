@@ -22,7 +22,7 @@ PACKAGES := torchid torchid_study torchid_bench
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly zoo criteria golden durations coverage lint format docs notebooks docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly zoo controls criteria golden durations coverage lint format docs notebooks docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -50,12 +50,19 @@ nightly: $(VENV)/.dev
 	TORCHID_SEED=$(SEED) $(PYTEST) $(TWO) -m nightly --hypothesis-seed=$(SEED)
 	$(MAKE) --no-print-directory zoo
 	$(BIN)/python -m tests.golden.sentences -v
+	$(MAKE) --no-print-directory controls
 
 # Public logs of real arms, with the commands that their owners would type and what is known of them:
 # half an hour of CPU, and one line where the logs are absent. What is in build/zoo is not run again; an
 # answer that is surely wrong, a good log refused, and a crash are errors. ROWS=emps,kuka are some.
 zoo: $(VENV)/.dev
 	$(BIN)/python -m torchid_bench.benchmarks.zoo --jobs $(shell nproc) --page docs/zoo.md $(if $(ROWS),--rows $(ROWS))
+
+# What is named of healthy arms of which nothing has changed: models of one log, asked of another, of the
+# zoo's logs; some 40 minutes of CPU. What is in build/controls is not asked again; a new name, and a
+# diagnosis that failed, are errors. ROWS=ur10e,emps are some arms.
+controls: $(VENV)/.dev
+	$(BIN)/python -m torchid_bench.benchmarks.controls --jobs $(shell nproc) --page docs/controls.md $(if $(ROWS),--rows $(ROWS))
 
 # What doubling and halving the numbers that decide an answer does to simulated cases: hours.
 criteria: COUNT ?= 60

@@ -42,9 +42,9 @@ NAVIGATION = {
     "Tutorial": ("tutorial",),
     "How to": ("your-log", "coming-from", "lerobot", "your-quadruped", "log-doctor", "python",
                "export", "pair", "report", "compare", "fleet", "next-experiment"),
-    "Reference": ("robots", "effects", "glossary", "equations", "results", "zoo", "public-truths",
-                  "gap-results", "position-results", "speed", "withheld", "trust", "api/*",
-                  "../CHANGELOG"),
+    "Reference": ("robots", "effects", "glossary", "equations", "results", "zoo", "controls",
+                  "public-truths", "gap-results", "position-results", "speed", "withheld", "trust",
+                  "api/*", "../CHANGELOG"),
     "Explanation": ("concepts", "knowledge", "equal-torque", "design", "../CONTRIBUTING"),
 }  # fmt: skip
 """Captions, and the pages below each."""

@@ -77,7 +77,7 @@ def data_of(segments: Sequence[Segment]) -> Data:
 
 
 def wanted_of(names: Sequence[str], *, free: bool = False, inertial: bool = False) -> Wanted:
-    return Wanted(tuple(names), free, (), inertial, None, base_of_3r())
+    return Wanted(tuple(names), free, (), inertial, base_of_3r())
 
 
 def two_folds(data: Data) -> Tensor:

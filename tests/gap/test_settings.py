@@ -21,7 +21,6 @@ from torchid.gap.settings import GapSettings
         ({"max_effects": 0}, "effects"),
         ({"held_out_fraction": 1.0}, "held-out"),
         ({"seed": -1}, "seed"),
-        ({"only": (("coulom_friction", 0),)}, "unknown effect 'coulom_friction'"),
     ],
 )
 def test_refused(changes, words):

@@ -45,7 +45,7 @@ def pose(
     apart = tuple(repeats.segments(data.segments, given.gaps))
     data = replace(data, keep=sliding_only(given, data.keep, data.band, apart))
     elastic = JointElasticity.name
-    if elastic in wanted.names and wanted.asks(elastic, range(robot.n)):
+    if elastic in wanted.names:
         data = data.with_swings(given)
     block, fitted_first = blocks_of(data, given), robot.parameters is None
     return Problem(

@@ -34,8 +34,6 @@ class GapSettings:
         max_effects: number of effects accepted at most.
         held_out_fraction: share of each trajectory's end kept for validation, where no log is.
         seed: of everything random.
-        only: (effect, joint from 0, or None for any place) that alone are candidates: a diagnosis
-            that is told the answer, to compare others with; None for all places.
 
     Raises:
         TorchidError: an unknown effect or choice, one effect twice, a number out of range.
@@ -56,18 +54,15 @@ class GapSettings:
     max_effects: int = 20
     held_out_fraction: float = 0.0
     seed: int = 0
-    only: tuple[tuple[str, int | None], ...] | None = None
 
     def __post_init__(self) -> None:
         require_choice("parameters", self.parameters, get_args(Parameters))
         if self.effects is not None and not self.effects:
             raise TorchidError("there is no effect to search over.", hint="None: the whole library")
-        if self.effects or self.background or self.only:
+        if self.effects or self.background:
             # Here, so that the command line has the defaults without torch.
             from torchid.effects.registry import column_kind, effect_kind
 
-            for name, _ in self.only or ():
-                effect_kind(name)
             for names, known in ((self.effects or (), effect_kind), (self.background, column_kind)):
                 for name in names:
                     known(name)

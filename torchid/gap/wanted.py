@@ -1,6 +1,5 @@
 """What settings look for on a robot, and the model that the search starts from."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -30,7 +29,6 @@ class Wanted:
         free: whether base parameters are always fitted.
         background: effects that are always fitted with them, on every joint.
         inertial: whether corrections of the links' parameters compete.
-        only: (effect, joint from 0 or None) that alone are candidates; None for all.
         base: rigid base parameters of the robot.
         knowledge: how sure the model as given is; None where it does not say.
     """
@@ -39,15 +37,12 @@ class Wanted:
     free: bool
     background: tuple[str, ...]
     inertial: bool
-    only: tuple[tuple[str, int | None], ...] | None
     base: BaseParameters
     knowledge: Knowledge | None = None
 
-    def asks(self, name: str, joints: Sequence[int]) -> bool:
-        """Whether an effect of this name at these joints is looked for."""
-        if self.only is None:
-            return name == BASE or name in self.names
-        return any(name == n and (j is None or j in joints) for n, j in self.only)
+    def asks(self, name: str) -> bool:
+        """Whether an effect of this name is looked for."""
+        return name == BASE or name in self.names
 
 
 def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
@@ -68,7 +63,6 @@ def wanted_of(robot: Robot, settings: GapSettings) -> Wanted:
         free=free,
         background=settings.background,
         inertial=settings.parameters != "trusted",
-        only=settings.only,
         base=base_parameters(robot, basis="report"),
         knowledge=known_later(robot) if settings.parameters == "auto" else None,
     )

@@ -47,6 +47,7 @@ def make_command(
     kind: Literal["torque", "position"] = "torque",
     mix: Literal["mixed", "release"] = "mixed",
     robots: Literal["arms", "tree", "quadruped", "two_arms", "torso"] = "arms",
+    background: Annotated[float | None, typer.Option(min=0.0)] = None,
     keys: opt.Written = None,
     workers: Workers,
     output: Printed,
@@ -62,14 +63,16 @@ def make_command(
         kind: What the logs have: torques, or commands and positions alone.
         mix: Kinds of cases: of every sort, or those that a release is judged by.
         robots: Arms; robots that branch, their base held in the air; or one of these.
+        background: Small things that every arm has: as large, after all usual laws are fitted, as
+            so many times a cause.
     """
     from torchid_bench.withheld.case_set import keys_beside, make
 
     sealed = keys_beside(out) if keys is None else keys
     with output.progress() as progress, staged(None):  # what a stopped one has made is kept
         made = make(
-            out, cases, seed, kind=kind, mix=mix, robots=robots, keys=sealed,
-            jobs=workers.count, progress=progress,
+            out, cases, seed, kind=kind, mix=mix, robots=robots, background=background,
+            keys=sealed, jobs=workers.count, progress=progress,
         )  # fmt: skip
     output.write_json(
         {"folder": str(out), "keys": str(sealed), "keys_sha256": made.keys_sha256, "seed": seed},
@@ -87,7 +90,7 @@ def run_command(
     workers: Workers,
     output: Printed,
 ) -> None:
-    """Diagnose every case of a set; no key is read. What is answered already stays.
+    """Ask `torchid.diagnose` of every case of a set; no key is read. What is answered stays.
 
     Example: `torchid withheld run cases --jobs 2`
 
@@ -96,17 +99,17 @@ def run_command(
     """
     from torchid.gap.settings import GapSettings
     from torchid_bench.withheld.case_set import read_cases
-    from torchid_bench.withheld.run import ERROR, jobs_of, run
+    from torchid_bench.withheld.run import UNANSWERED, jobs_of, run
 
     cases = read_cases(folder)
     todo = jobs_of(cases, GapSettings())
     with output.progress() as progress, staged(None):
         answers = run(todo, jobs=workers.count, again=again, progress=progress)
-    failed = {case: a["error"] for case, a in answers.items() if a["status"] == ERROR}
+    failed = {case: a["error"] for case, a in answers.items() if a["status"] in UNANSWERED}
     statuses = dict(Counter(answer["status"] for answer in answers.values()))
     output.write_json({"folder": str(folder), "statuses": statuses, "errors": failed}, "run.json")
     output.say(f"{len(answers) - len(failed)} of {len(answers)} cases diagnosed in {folder}")
-    output.warn(tuple(f"{case}: {error}" for case, error in failed.items()))
+    output.warn(tuple(f"{case}: {answers[case]['status']}: {e}" for case, e in failed.items()))
 
 
 @command
@@ -115,6 +118,7 @@ def score_command(
     folder: SetArgument,
     keys: opt.File = None,
     partial: Switch = False,
+    workers: Workers,
     output: Annotated[Kept, "score.json"],
 ) -> None:
     """Open the keys and score the answers.
@@ -134,4 +138,15 @@ def score_command(
     answers = read_answers(cases)
     require_answers(cases, answers, partial=partial)
     result = summary(cases, opened, answers)
+    if cases.background is not None:
+        from torchid_bench.withheld.background_score import background_scores
+        from torchid_bench.withheld.decidable import classes_of, servo_classes
+
+        with output.progress() as progress:
+            classes = (
+                servo_classes(opened)
+                if cases.kind == "position"
+                else classes_of(cases, jobs=workers.count, progress=progress)
+            )
+        result["scores"]["background"] = background_scores(opened, answers, classes)
     output.give(result, "score.json", report_of_summary)

@@ -35,8 +35,6 @@ class Line:
     rows: str
     reference: tuple[float, ...]
     method: str = "huber"
-    searched: float = 8.0
-    gap: str = ""
 
 
 FILE = parsed_yaml(Path(__file__).with_suffix(".yaml").read_text())

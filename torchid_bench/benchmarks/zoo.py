@@ -621,9 +621,9 @@ def page_of(
             sure = []  # numbers of a fit are no names of causes
         why = "" if why == last.headline else why
         codes = " ".join("-" if s.exit is None else str(s.exit) for s in steps)
-        cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, _text(last.headline))
-        others = (_text(row.published),) if public else ()
-        body.append((*cells, names(sure), _text(why), *others, f"**{verdict}**"))
+        cells = (name, row.folder, row.known, f"{seconds:.0f}", codes, cell_of(last.headline))
+        others = (cell_of(row.published),) if public else ()
+        body.append((*cells, names(sure), cell_of(why), *others, f"**{verdict}**"))
     marks = ["--:" if title == "CPU s" else "---" for title in titles]
     lines = [pipe_table(titles, body, marks)]
     listed = ", ".join(f"{n} {verdict}" for verdict, n in counts.items() if n)
@@ -641,7 +641,7 @@ def page_of(
     return head + "\n" + "\n".join(lines) + "\n"
 
 
-def _text(text: str, longest: int = 400) -> str:
+def cell_of(text: str, longest: int = 400) -> str:
     """Text of a cell: one line, no markup, not endless."""
     one = " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
     return one if len(one) <= longest else one[: longest - 1] + "…"

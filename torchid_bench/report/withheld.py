@@ -58,7 +58,11 @@ class Line:
         value = self.value(scores)
         if value is None:
             return "-", "", ""
-        entry = {} if self.path[-1] in ("set_size", "brier") else self.entry(scores)
+        entry = (
+            {}
+            if self.path[-1] in ("set_size", "brier", "median", "worst", "names_a_case")
+            else self.entry(scores)
+        )
         between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
         count = f"{entry['cases']} cases" if "cases" in entry else ""
         if "total" in entry:
@@ -72,6 +76,38 @@ class Line:
     def _plain(self, value: float) -> str:
         return f"{100 * value:.1f}" if self.percent else f"{value:.2f}"
 
+
+OUTCOMES = (
+    Line("good logs refused", ("outcomes", "refused", "share"), high=0.0),
+    Line("faults of the program (exit 70)", ("outcomes", "error", "share"), high=0.0),
+    Line("out of time", ("outcomes", "out_of_time", "share"), high=0.0),
+    Line("nothing named", ("outcomes", "silent", "share")),
+    Line("CPU seconds a case, median", ("seconds", "median"), percent=False),
+    Line("CPU seconds a case, worst", ("seconds", "worst"), percent=False),
+)
+
+BACKGROUND = (
+    Line("decidable: named first", ("background", "first", "in_practice", "strictly", "share")),
+    Line(
+        "decidable: first of what is no small thing",
+        ("background", "first", "in_practice", "beside_small", "share"),
+    ),
+    Line("decidable: in its set", ("background", "first", "in_practice", "in_set", "share")),
+    Line(
+        "decidable if the background were known: first of what is no small thing",
+        ("background", "first", "ideally", "beside_small", "share"),
+    ),
+    Line("new names above .9: right", ("background", "sure", "share")),
+    Line("new names above .9: right, or a small thing", ("background", "sure_or_there", "share")),
+    Line("cases with a false name above .9", ("background", "cases_with_false_sure", "share")),
+    Line("nothing planted: false name above .5", ("background", "nothing", "likely", "share")),
+    Line("nothing planted: false name above .9", ("background", "nothing", "sure", "share")),
+    Line("nothing planted: unexplained", ("background", "nothing", "unexplained", "share")),
+    Line("of no library: unexplained, or an honest set", ("background", "outside", "share")),
+    Line("sizes within 1 std", ("background", "within", "1", "share")),
+    Line("sizes within 1.96 std", ("background", "within", "1.96", "share")),
+    Line("names a case", ("background", "names_a_case"), percent=False),
+)
 
 LINES = (
     Line("false alarms, white noise", ("false_alarms", "white", "share"), high=0.03),
@@ -108,11 +144,12 @@ LINES = (
 def report_of_summary(summary: Summary) -> Report:
     """All that there is to see of a score."""
     sealed = f"SHA-256 of the keys: {summary['keys_sha256']}, as sealed"
-    said: list[Table | str] = [score_table(summary), sealed]
-    return Report(verdict=headline(summary), parts=said)
+    lines = OUTCOMES + (BACKGROUND if "background" in summary["scores"] else LINES)
+    said: list[Table | str] = [score_table(summary, lines), sealed]
+    return Report(verdict=headline(summary, lines), parts=said)
 
 
-def score_table(summary: Summary, lines: Sequence[Line] = LINES) -> Table:
+def score_table(summary: Summary, lines: Sequence[Line] = OUTCOMES + LINES) -> Table:
     """Scores that there are cases for, beside targets."""
     rows = []
     for line in lines:
@@ -124,14 +161,11 @@ def score_table(summary: Summary, lines: Sequence[Line] = LINES) -> Table:
     return Table(title, ("score", "torchid", "95 %", "cases", "target"), rows, "lrrrl")
 
 
-def headline(summary: Summary, lines: Sequence[Line] = LINES) -> str:
+def headline(summary: Summary, lines: Sequence[Line] = OUTCOMES + LINES) -> str:
     """How many targets are met."""
     judged = [line.met(summary["scores"]) for line in lines]
     met, missed = judged.count(True), judged.count(False)
     text = f"{met} of {met + missed} targets met on {summary['cases']} cases"
-    errors = len(summary["scores"]["errors"])
-    if errors:
-        text += f"; {errors} diagnoses failed"
     if summary["unanswered"]:
         text += f"; {summary['unanswered']} cases have no answer"
     return text + "."

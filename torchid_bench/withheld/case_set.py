@@ -2,7 +2,8 @@
 
     DIR/cases.json         {schema, seed, mix, cases: [ID...], keys_sha256, version}
     DIR/<ID>/robot.urdf    the nominal model: all that the diagnosis is told of the arm
-    DIR/<ID>/log.parquet   what was measured
+    DIR/<ID>/log.parquet   what was measured; log-2.parquet, .. where there are more files
+    DIR/<ID>/earlier.parquet   an earlier log of the arm, where there is one
     DIR/<ID>/robot.urdf.effects.yaml   rotors, where the maker's data tell them
     DIR/<ID>/answer.json   what the diagnosis said
     DIR.keys.json          {schema, seed, cases: [KEY...]}: what was planted
@@ -36,10 +37,14 @@ KEYS_SCHEMA = "torchid.withheld.keys/1"
 KEPT = ".keys"
 """Of a set that is being made: keys of its cases so far."""
 
+MOST_BACKGROUND = 3.0
+"""Beyond which it would hide every cause of standard size."""
+
 _MIXES = {"torque": ("mixed", "release"), "position": ("mixed",)}
 """Of sets of arms, by what their logs have."""
 
 CASES, ROBOT, LOG, ANSWER = "cases.json", "robot.urdf", "log.parquet", "answer.json"
+EARLIER = "earlier.parquet"
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,7 @@ class CaseSet:
         mix: of its kinds of cases, `mixed` or `release`.
         kind: what its logs have: `torque`, or `position`, commands alone.
         robots: that its arms are drawn from: `arms`, `tree`, or one robot that branches.
+        background: of its arms, of a cause of standard size; None of arms that are as described.
     """
 
     folder: Path
@@ -65,14 +71,21 @@ class CaseSet:
     mix: str = "mixed"
     kind: str = "torque"
     robots: str = "arms"
+    background: float | None = None
 
     def robot(self, case: str) -> Path:
         """The nominal model of a case."""
         return self.folder / case / ROBOT
 
-    def log(self, case: str) -> Path:
-        """The log of a case."""
-        return self.folder / case / LOG
+    def logs(self, case: str) -> tuple[Path, ...]:
+        """The log of a case, and its further files in order."""
+        folder = self.folder / case
+        return (folder / LOG, *sorted(folder.glob(f"{Path(LOG).stem}-*.parquet")))
+
+    def earlier(self, case: str) -> Path | None:
+        """The earlier log of a case, if it has one."""
+        path = self.folder / case / EARLIER
+        return path if path.is_file() else None
 
     def answer(self, case: str) -> Path:
         """The answer to a case, which may not be there yet."""
@@ -115,6 +128,7 @@ def read_cases(folder: Path) -> CaseSet:
             str(data.get("mix", "mixed")),
             str(data.get("kind", "torque")),
             str(data.get("robots", "arms")),
+            data.get("background"),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TorchidError(f"'{path}' is incomplete or damaged.", got=str(error)) from error
@@ -124,7 +138,7 @@ def read_cases(folder: Path) -> CaseSet:
         # Answers are written beside the logs: never outside of the set.
         if case == ".." or Path(case).name != case:
             raise TorchidError(f"'{path}' names a case that is no folder in the set.", got=case)
-        for file in (cases.robot(case), cases.log(case)):
+        for file in (cases.robot(case), *cases.logs(case)):
             if not file.is_file():
                 raise TorchidError(f"the set '{folder}' is incomplete: there is no '{file}'.")
     return cases
@@ -171,6 +185,7 @@ def make(
     kind: str = "torque",
     mix: str = "mixed",
     robots: str = "arms",
+    background: float | None = None,
     keys: Path | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
@@ -191,6 +206,10 @@ def make(
         mix: of logs of torques. `mixed`: all kinds of cases, for development; `release`: of
             nineteen cases four without an effect, eight with one, three with two or three, four
             outside the library.
+        background: instead of a mix, of arms as they are without faults on motions as people record
+            them: what a fit of all usual laws, or of plain servos, leaves of it, of a cause of
+            standard size [1]. Of 24 cases 4 have no effect, 12 one, 4 two, 4 one outside the
+            library; half of those with torques have an earlier log.
         robots: `arms`; or `tree`: a quadruped, two arms with grippers and the upper body of a
             humanoid, or one of them by name. Of twenty cases of these five have no effect, and
             fifteen one.
@@ -202,34 +221,45 @@ def make(
         TorchidError: the folder or the key file is there already, or the keys would lie inside.
         MissingExtraError: the simulator is not installed.
     """
-    for what, given, known in (
+    for what, asked, known in (
         ("kind of logs", kind, _MIXES),
         (f"mix of {kind} cases", mix, _MIXES.get(kind, ())),
         ("robots", robots, ROBOTS),
     ):
-        if given not in known:
-            raise TorchidError(f"unknown {what}.", got=given, available=list(known))
+        if asked not in known:
+            raise TorchidError(f"unknown {what}.", got=asked, available=list(known))
     if robots != "arms" and mix != "mixed":
         raise TorchidError("robots that branch have one mix.", got=mix, expected="mixed")
+    if background is not None:
+        if (mix, robots) != ("mixed", "arms"):
+            raise TorchidError("a background is of arms, in one mix.", got=f"{mix}, {robots}")
+        if not 0 <= background <= MOST_BACKGROUND:
+            expected = f"0 to {MOST_BACKGROUND:g}"
+            raise TorchidError("no such background.", got=background, expected=expected)
     if count < 1:
         raise TorchidError("a set has at least one case.", got=count)
     keys = keys_beside(folder) if keys is None else keys
     _require_new(folder, keys)
     # It takes the place of `folder` when all are there; until then it keeps what is made.
-    drawn = mix if kind == "torque" else kind
-    fixed = {"mix": drawn}
+    given: dict[str, Any] = {"mix": mix if kind == "torque" else kind}
     if robots != "arms":
-        fixed = {"mix": "tree" if kind == "torque" else "tree_position", "robots": robots}
-    place = folder.resolve().parent / "-".join((f".{folder.name}", str(seed), *fixed.values()))
+        given = {"mix": "tree" if kind == "torque" else "tree_position", "robots": robots}
+    if background is not None:
+        own = "background" if kind == "torque" else "position_background"
+        given = {"mix": own, "background": background}
+    words = (f".{folder.name}", str(seed), *map(str, given.values()))
+    place = folder.resolve().parent / "-".join(words)
     (place / KEPT).mkdir(parents=True, exist_ok=True)
-    write = partial(write_drawn, place, seed, fixed)
+    write = partial(write_drawn, place, seed, given)
     written = each(write, range(count), jobs, "simulating cases", progress)
     sealed = sha256(write_json({"schema": KEYS_SCHEMA, "seed": seed, "cases": written}, keys))
     ids = tuple(map(case_id, range(count)))
-    made = CaseSet(folder, seed, ids, sealed, __version__, mix, kind, robots)
+    made = CaseSet(folder, seed, ids, sealed, __version__, mix, kind, robots, background)
     data = {"schema": SCHEMA, **picked(made, "seed kind mix keys_sha256 version cases=ids")}
     if robots != "arms":
         data["robots"] = robots
+    if background is not None:
+        data["background"] = background
     write_json(data, place / CASES)
     # What a longer run had begun is no part of this one.
     shutil.rmtree(place / KEPT)
@@ -261,7 +291,7 @@ def _require_new(folder: Path, keys: Path) -> None:
             raise TorchidError(f"there is no folder '{above}'.", hint=f"mkdir -p '{above}'")
 
 
-def write_drawn(folder: Path, seed: int, given: Mapping[str, str], number: int) -> dict[str, Any]:
+def write_drawn(folder: Path, seed: int, given: Mapping[str, Any], number: int) -> dict[str, Any]:
     """Draw one case of a seed, and write it; returns its key, which is kept until all are made."""
     kept = folder / KEPT / f"{case_id(number)}.json"
     if not kept.exists():
@@ -284,6 +314,10 @@ def write_case(place: Path, seed: int, number: int, **given: Any) -> dict[str, A
 
     case = simulate_case(draw_case(seed, number, **given))
     write_shown(case.urdf, case.columns, place, case.rotors)
+    for k, columns in enumerate(case.more, 2):
+        write_columns(columns, place / f"{Path(LOG).stem}-{k}.parquet")
+    if case.earlier is not None:
+        write_columns(case.earlier, place / EARLIER)
     return {"id": place.name} | case.key | {"id": place.name}
 
 
@@ -303,9 +337,14 @@ def write_shown(
             text.write(sidecar_yaml(path.name, names, known, None))
     with atomic_write(place / ROBOT, "w") as text:
         text.write(urdf)
-    with atomic_write(place / LOG, "wb") as file:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+    write_columns(columns, place / LOG)
 
+
+def write_columns(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    """Write a log."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with atomic_write(path, "wb") as file:
         table = pa.table({name: np.ascontiguousarray(x) for name, x in columns.items()})
         pq.write_table(table, file)

@@ -185,26 +185,22 @@ def poor_verdict(row: Row) -> PoorVerdict:
     return "confident_wrong"
 
 
-def interval_holds(value: float, std: float, true: float, z: float = HALF_95) -> bool:
-    """Whether an interval holds the truth."""
-    return abs(value - true) <= z * std
+def coefficient_errors(row: Row) -> list[float]:
+    """Errors of coefficients in their standard deviations, for effects found by name and place."""
+    errors = []
+    for planted in row.planted:
+        here = sorted(planted.place)
+        same = [c for c in row.claims if c.name == planted.name and sorted(c.place) == here]
+        if len(same) == 1:
+            known = same[0].coefficients
+            pairs = ((*known[n], x) for n, x in planted.coefficients.items() if n in known)
+            errors += [abs(value - true) / max(std, 1e-300) for value, std, true in pairs]
+    return errors
 
 
 def coefficient_coverage(row: Row) -> list[bool]:
-    """Whether 95 % intervals hold the true coefficients, for an effect found by name and place."""
-    if len(row.planted) != 1:
-        return []
-    (planted,) = row.planted
-    same = [
-        c for c in row.claims if c.name == planted.name and sorted(c.place) == sorted(planted.place)
-    ]
-    if len(same) != 1:
-        return []
-    return [
-        interval_holds(*same[0].coefficients[name], true)
-        for name, true in planted.coefficients.items()
-        if name in same[0].coefficients
-    ]
+    """Whether 95 % intervals hold the true coefficients, of a case with one effect."""
+    return [e <= HALF_95 for e in coefficient_errors(row)] if len(row.planted) == 1 else []
 
 
 def stated_probabilities(row: Row) -> list[tuple[float, bool]]:

@@ -18,6 +18,9 @@ from torchid.statistics.proportion import HALF_95
 INERTIAL = ("link_inertia", "all_base")
 """Names of claims that a model's own parameters are wrong."""
 
+IN_BOTH = "in both"
+"""Of a cause that the model lacked already on an earlier log."""
+
 POSITION_SCHEMA = "torchid.position_gap/1"
 
 SURE = ("explained", "parametric_only")
@@ -35,7 +38,9 @@ class Claim:
         ambiguous: names that the data do not tell it from.
         share: of the gap.
         coefficients: name -> (value, standard deviation), of effects without a shape.
-        how_sure: probability that was given; None where none was.
+        how_sure: probability that was given to the set; None where none was.
+        own: to the name itself; None where none was.
+        new: whether it is said to be new, where there is an earlier log.
     """
 
     name: str
@@ -46,6 +51,8 @@ class Claim:
     share: float = 0.0
     coefficients: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     how_sure: float | None = None
+    own: float | None = None
+    new: bool = True
 
     @property
     def names(self) -> set[str]:
@@ -98,7 +105,7 @@ class Row:
     Attributes:
         status: of the diagnosis, or `error`.
         planted: causes that are there.
-        claims: causes that were named, the largest share first.
+        claims: causes that were named, new ones first, the largest share first.
         not_testable: (name, joint or None) of effects said to be invisible in these data.
         families: of every effect that the diagnosis can name.
     """
@@ -111,7 +118,7 @@ class Row:
 
     @property
     def top(self) -> Claim | None:
-        """The claim with the largest share."""
+        """The first claim."""
         return self.claims[0] if self.claims else None
 
     @property
@@ -135,7 +142,7 @@ def row_of(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Row:
     return Row(
         str(answer["status"]),
         tuple(map(_planted, key["effects"])),
-        tuple(sorted(claims, key=lambda c: -c.share)),
+        tuple(sorted(claims, key=lambda c: (not c.new, -c.share))),
         tuple((x["effect"], x["joint"]) for x in answer.get("not_testable", ()) if not servos),
         {effect.name: effect.family for effect in EFFECTS} if servos else FAMILIES,
     )
@@ -147,7 +154,9 @@ def _torque_claims(answer: Mapping[str, Any]) -> list[Claim]:
     for c in answer.get("answer", {}).get("causes", ()):
         if c["effect"] == INERTIAL[0] and not c["joints"]:
             share, others = float(c["share"] or 0.0), tuple(c["ambiguous_with"])
-            claims.append(Claim("all_base", "inertia", (), (), others, share))
+            own = c.get("probabilities", {}).get(INERTIAL[0])
+            new = c.get("when") != IN_BOTH
+            claims.append(Claim("all_base", "inertia", (), (), others, share, own=own, new=new))
     return claims
 
 
@@ -170,7 +179,9 @@ def _servo_claims(answer: Mapping[str, Any]) -> list[Claim]:
         others = sorted({other for cause in own for other in cause["ambiguous_with"]} - {name})
         joints, family = place or tuple(range(1, n + 1)), own[0]["family"]
         values = _from_intervals(own[0]) if len(own) == 1 else {}
-        claims.append(Claim(name, family, place, joints, tuple(others), gain, values))
+        # What is said of a set is said of no name in it.
+        sure = None if others else max(cause.get("how_sure") or 0.0 for cause in own)
+        claims.append(Claim(name, family, place, joints, tuple(others), gain, values, own=sure))
     return claims
 
 
@@ -199,6 +210,8 @@ def _claim(cause: Mapping[str, Any]) -> Claim:
         cause.get("share") or 0.0,
         {c: (values[c], float(s)) for c, s in std.items() if s is not None and c in values},
         cause.get("how_sure"),
+        cause.get("probabilities", {}).get(name),
+        cause.get("when") != IN_BOTH,
     )
 
 

@@ -1,7 +1,10 @@
-"""Diagnose every case of a set. Nothing here knows where keys are, or reads one."""
+"""Ask of every case of a set what a user asks: `torchid.diagnose`, the doctor first. Nothing here
+knows where keys are, or reads one."""
 
+import signal
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +17,13 @@ from torchid.parallel.store import code as sources
 from torchid.parallel.workers import Progress, each
 from torchid_bench.withheld.case_set import CaseSet
 
-ERROR = "error"
-"""Status of a case whose diagnosis failed."""
+ERROR, REFUSED, LATE = "error", "refused", "out_of_time"
+UNANSWERED = (ERROR, REFUSED, LATE)
+"""Statuses of a case without a diagnosis: it failed, where the command's exit code is 70; its log
+or file is refused with a reason; it took more CPU seconds than it may."""
+
+LIMIT = 240.0
+"""CPU seconds in which a case is to be answered."""
 
 NOT_THE_DIAGNOSIS = (
     "app", "report", "withheld", "fleet", "extraction", "wrenches", "parallel",
@@ -29,20 +37,29 @@ class Job:
 
     Attributes:
         case: its name.
-        robot, log, answer: files.
+        robot, logs, answer: files.
         settings: of the diagnosis.
+        earlier: file of an earlier log of the arm; None without one.
+        limit: CPU seconds in which it is to be answered.
     """
 
     case: str
     robot: Path
-    log: Path
+    logs: tuple[Path, ...]
     answer: Path
     settings: GapSettings
+    earlier: Path | None = None
+    limit: float = LIMIT
+
+
+class OutOfTime(BaseException):
+    """A case took more CPU seconds than it may; no `except Exception` on the way keeps it."""
 
 
 def job_of(cases: CaseSet, case: str, answer: Path, settings: GapSettings | None = None) -> Job:
     """A job for a case, its answer in any file; the default if None."""
-    return Job(case, cases.robot(case), cases.log(case), answer, settings or GapSettings())
+    settings = settings or GapSettings()
+    return Job(case, cases.robot(case), cases.logs(case), answer, settings, cases.earlier(case))
 
 
 def jobs_of(cases: CaseSet, settings: GapSettings) -> list[Job]:
@@ -60,8 +77,8 @@ def run(
 ) -> dict[str, dict[str, Any]]:
     """Answers of all jobs, those that are there already as they are.
 
-    A case whose diagnosis fails gets an answer with the status `error`, which is tried again the
-    next time.
+    A case without a diagnosis gets an answer that says why: `error` and `out_of_time`, which are
+    tried again the next time, or `refused`.
 
     Args:
         todo: from `jobs_of`.
@@ -87,7 +104,7 @@ def run(
             other[one.case] = "the diagnosis has changed since"
         elif old.get("settings") != plain(asdict(one.settings)):
             other[one.case] = "they were found with other settings"
-        elif old.get("status") != ERROR:
+        elif old.get("status") not in (ERROR, LATE):
             answers[one.case] = old
     if other and not again:
         case, reason = next(iter(other.items()))
@@ -126,31 +143,55 @@ def written_answer(
     import torch
 
     torch.set_num_threads(1)
-    begin = time.perf_counter()
+    begin = time.process_time()
+    failed = failed or {}
     try:
-        answered = answer()
+        with limited(job.limit):
+            answered = answer()
+    except OutOfTime:
+        answered = {"status": LATE, **failed, "error": f"more than {job.limit:g} CPU s"}
+    except TorchidError as error:
+        answered = {"status": REFUSED, **failed, "error": str(error)}
     except Exception as error:
-        answered = {"status": ERROR, **(failed or {}), "error": f"{type(error).__name__}: {error}"}
+        answered = {"status": ERROR, **failed, "error": f"{type(error).__name__}: {error}"}
     answered |= {
         "case": job.case,
         "settings": plain(asdict(job.settings)),
         "version": __version__,
         "code": source_digest(),
-        "seconds": round(time.perf_counter() - begin, 2),
+        "seconds": round(time.process_time() - begin, 2),
     }
     write_json(answered, job.answer)
     return answered
 
 
-def _answer(job: Job) -> dict[str, Any]:
-    from torchid import load_robot, read_log
-    from torchid.gap.torque import diagnose_torque
-    from torchid.position.diagnose import diagnose_positions
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """A block that may use so many CPU seconds of this process, whose main thread it is in.
 
-    robot, log = load_robot(job.robot), read_log(job.log)
-    if log.tau is None and log.u is not None:
-        return diagnose_positions(robot, log).plain()
-    diagnosis = diagnose_torque(robot, log, settings=job.settings)
+    Raises:
+        OutOfTime: it uses more.
+    """
+
+    def late(*_: object) -> None:
+        raise OutOfTime
+
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def _answer(job: Job) -> dict[str, Any]:
+    from torchid import diagnose
+    from torchid.gap.diagnosis import TorqueDiagnosis
+
+    diagnosis = diagnose(job.robot, job.logs, before=job.earlier, settings=job.settings)
+    if not isinstance(diagnosis, TorqueDiagnosis):
+        return diagnosis.plain()
     corrected = {
         "effects": [dict(effect) for effect in diagnosis.corrected.effects],
         "pi": diagnosis.corrected.require_parameters("an answer").pi,

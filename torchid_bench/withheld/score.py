@@ -1,7 +1,7 @@
 """The scores of a set of answers, once its keys are open (gap.md, section 3, of the design).
 
 Shares come with their Wilson 95 % intervals, F1 and medians with bootstrap intervals over cases. A
-diagnosis that failed counts as one that found nothing, and in false alarms not at all.
+log that has no diagnosis counts as one of which nothing is said, and in false alarms not at all.
 """
 
 from collections import Counter, defaultdict
@@ -28,7 +28,7 @@ from torchid_bench.withheld.measures import (
     verdict,
 )
 from torchid_bench.withheld.rows import Row, named_record, row_of
-from torchid_bench.withheld.run import ERROR
+from torchid_bench.withheld.run import ERROR, UNANSWERED
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,6 @@ class Scored:
         level: size that was asked for, in standard deviations of the noise; None without one.
         row: what was planted and said.
         closed: closed share of the closable gap; 0 where none was claimed.
-        closed_ci95: its interval, or None.
         seconds: that the diagnosis took.
     """
 
@@ -53,7 +52,6 @@ class Scored:
     level: float | None
     row: Row
     closed: float
-    closed_ci95: tuple[float, float] | None
     seconds: float | None
 
     @property
@@ -65,8 +63,6 @@ class Scored:
 def scored_case(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
     """A case from its key and answer, as they are in files."""
     far = answer.get("how_far") or {}
-    # As in a file, where what is not a number is null.
-    low, high = far.get("closed_ci95") or (None, None)
     return Scored(
         case=key["id"],
         kind=key["kind"],
@@ -75,7 +71,6 @@ def scored_case(key: Mapping[str, Any], answer: Mapping[str, Any]) -> Scored:
         level=key.get("level"),
         row=row_of(key, answer),
         closed=float(far.get("closed") or 0.0),
-        closed_ci95=None if low is None or high is None else (float(low), float(high)),
         seconds=answer.get("seconds"),
     )
 
@@ -84,7 +79,7 @@ def scores(cases: Sequence[Scored]) -> dict[str, Any]:
     """All scores of one method's answers."""
     kinds = _by(cases, lambda c: c.kind)
     single, several, severity = (kinds.get(k, []) for k in ("single", "several", "severity"))
-    quiet = [c for c in kinds.get("none", []) if c.row.status != "error"]
+    quiet = [c for c in kinds.get("none", []) if c.row.status not in UNANSWERED]
     only_parameters, outside = kinds.get("parameters", []), kinds.get("outside", [])
     # Of logs with one effect: its name, in all and by effect.
     out = _naming(single)
@@ -120,13 +115,22 @@ def scores(cases: Sequence[Scored]) -> dict[str, Any]:
         # Whether 95 % intervals hold the true coefficients.
         "coverage": rate(flag for c in single + severity for flag in coefficient_coverage(c.row)),
         "status": {k: dict(Counter(c.row.status for c in some)) for k, some in kinds.items()},
-        "errors": [c.case for c in cases if c.row.status == "error"],
-        "seconds_median": _median([c.seconds for c in cases if c.seconds is not None]),
+        # Of all logs, which are good ones: what came of the question.
+        "outcomes": {
+            name: rate(outcome(c.row) == name for c in cases)
+            for name in ("named", "silent", *UNANSWERED)
+        },
+        "errors": [c.case for c in cases if c.row.status == ERROR],
+        "seconds": {
+            name: float(of([c.seconds for c in cases if c.seconds is not None] or [0.0]))
+            for name, of in (("median", np.median), ("worst", np.max))
+        },
     }
 
 
-def _median(values: Sequence[float]) -> float | None:
-    return float(np.median(values)) if values else None
+def outcome(row: Row) -> str:
+    """What came of the question: why there is no answer, or whether the answer names a cause."""
+    return row.status if row.status in UNANSWERED else "named" if row.claims else "silent"
 
 
 def _naming(cases: Sequence[Scored]) -> dict[str, Any]:
@@ -273,7 +277,7 @@ def _listed(case: Scored, key: Mapping[str, Any]) -> dict[str, Any]:
 
 def is_right(kind: str, row: Row) -> bool:
     """Whether an answer is as good as its kind of case allows: nothing more to be wished for."""
-    if row.status == ERROR:
+    if row.status in UNANSWERED:
         return False
     if kind == "none":
         return not row.alarm

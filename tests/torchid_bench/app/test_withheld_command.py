@@ -76,7 +76,7 @@ def test_a_failing_case_is_said(made, said, command):
     outcome = command("withheld", "run", folder, "--jobs", 1)
     assert outcome.code == 0
     assert "2 of 3 cases diagnosed" in outcome.out
-    assert "case-0002: KeyError" in outcome.out
+    assert "case-0002: error: KeyError" in outcome.out
 
 
 @pytest.mark.parametrize(

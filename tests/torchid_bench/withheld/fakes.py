@@ -71,22 +71,22 @@ class Simulated:
     columns: dict[str, np.ndarray]
     key: dict[str, Any] = field(default_factory=dict)
     rotors: tuple[float, ...] = ()
+    more: tuple[dict[str, np.ndarray], ...] = ()
+    earlier: dict[str, np.ndarray] | None = None
 
 
 def draw_case(seed: int, number: int, *, mix: str = "mixed") -> Spec:
     return Spec(seed, number)
 
 
-def simulate_case(
-    spec: Spec, *, ideal: bool = False, fresh: bool = False, bare: bool = False
-) -> Simulated:
-    """Two trajectories, one of them twice, at 100 Hz; two others if fresh."""
+def simulate_case(spec: Spec, *, ideal: bool = False) -> Simulated:
+    """Two trajectories, one of them twice, at 100 Hz."""
     rng = np.random.default_rng([spec.seed, spec.number])
     robot = arm()
-    strength = 0.0 if bare or spec.kind == "none" else 2.0
+    strength = 0.0 if spec.kind == "none" else 2.0
     parts = []
     for k, shape in enumerate((0, 1, 0)):
-        motion = motion_of(robot.n, 10.0, 100.0, seed=shape + 2 * fresh)
+        motion = motion_of(robot.n, 10.0, 100.0, seed=shape)
         tau = model_torque(robot, [(CoulombFriction(1), [strength])], motion).numpy()
         noisy = tau + (0.0 if ideal else 0.05) * rng.standard_normal(tau.shape)
         t = np.arange(len(tau)) / 100.0 + 12.0 * k

@@ -23,7 +23,7 @@ def test_a_set_is_read_as_it_was_written(made):
     assert found == made
     assert found.ids == ("case-0001", "case-0002", "case-0003")
     assert (found.seed, found.version) == (7, __version__)
-    log = read_log(found.log("case-0002"))
+    log = read_log(found.logs("case-0002"))
     columns = simulate_case(draw_case(7, 1)).columns
     assert log.tau[:, 1].tolist() == columns["tau2"].tolist()
     assert len(log.names) == 3
@@ -60,9 +60,9 @@ def test_a_changed_byte_of_the_keys_is_refused(made):
 def test_a_smaller_set_is_the_beginning_of_a_larger_one(made, plant, tmp_path):
     small = make(tmp_path / "small", 2, seed=7)
     for case in small.ids:
-        assert small.log(case).read_bytes() == made.log(case).read_bytes()
+        assert small.logs(case)[0].read_bytes() == made.logs(case)[0].read_bytes()
     other = make(tmp_path / "other", 1, seed=8)
-    assert other.log("case-0001").read_bytes() != made.log("case-0001").read_bytes()
+    assert other.logs("case-0001")[0].read_bytes() != made.logs("case-0001")[0].read_bytes()
 
 
 def test_what_is_there_is_not_overwritten(made, plant, tmp_path):
@@ -83,6 +83,25 @@ def test_cases_of_positions_have_one_mix(tmp_path):
     with pytest.raises(TorchidError, match="unknown mix"):
         make(tmp_path / "set", 1, seed=1, kind="position", mix="release")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("kind", "mix"), [("torque", "background"), ("position", "position_background")]
+)
+def test_arms_have_a_background_whatever_their_logs_have(plant, tmp_path, kind, mix):
+    given = []
+
+    def drawn(seed, number, **what):
+        given.append(what)
+        return plain(seed, number)
+
+    plain, plant.draw_case = plant.draw_case, drawn
+    make(tmp_path / "set", 2, seed=1, kind=kind, background=0.15)
+    again = read_cases(tmp_path / "set")
+    assert (again.kind, again.background) == (kind, 0.15)
+    assert given == [{"mix": mix, "background": 0.15}] * 2
+    with pytest.raises(TorchidError, match="a background is of arms"):
+        make(tmp_path / "other", 2, seed=1, kind=kind, robots="tree", background=0.15)
 
 
 def test_keys_cannot_lie_among_the_cases(plant, tmp_path):

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import pyarrow.parquet as pq
 import pytest
 
 from torchid.errors import TorchidError
@@ -69,6 +70,37 @@ def test_progress_counts_what_is_there(todo, said):
     shown = []
     run(todo, progress=lambda *args: shown.append(args))
     assert shown == [("diagnosing", 2, 3), ("diagnosing", 3, 3)]
+
+
+@pytest.mark.parametrize(
+    ("what", "status"),
+    [(TorchidError("no such unit."), "refused"), (KeyError("x"), "error"), ("slow", "out_of_time")],
+)
+def test_a_log_without_an_answer_has_the_reason(todo, monkeypatch, what, status):
+    def answered(job):
+        if what == "slow":
+            while True:  # until the limit
+                try:
+                    sum(range(1000))
+                except Exception:
+                    continue
+        raise what
+
+    monkeypatch.setattr(running, "_answer", answered)
+    (found,) = run([replace(todo[0], limit=0.05)]).values()
+    assert (found["status"], found["which"]) == (status, [])
+    assert bool(found["error"])
+
+
+@pytest.mark.slow
+def test_the_doctor_is_asked_first(todo):
+    """A log whose torque is a thousand times too large is refused, and that is its answer."""
+    columns = pq.read_table(todo[0].logs[0]).to_pandas()
+    columns[["tau1", "tau2"]] *= 1e3
+    columns.to_parquet(todo[0].logs[0])
+    (found,) = run(todo[:1]).values()
+    assert found["status"] == "refused"
+    assert "looks wrong" in found["error"]
 
 
 @pytest.mark.slow

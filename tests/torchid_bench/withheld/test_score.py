@@ -5,13 +5,8 @@ from typing import Any
 import pytest
 
 from tests.torchid_bench.withheld.fakes import answer, entry
-from torchid_bench.benchmarks import withheld_beside as extra
 from torchid_bench.withheld.measures import micro_f1, rate
 from torchid_bench.withheld.score import Scored, scored_case, scores
-
-beside, confusion, detection, median = (
-    getattr(extra, name) for name in ("beside", "confusion", "detection", "median")
-)
 
 RIGHT = entry("coulomb_friction", "sign", 2)
 WRONG = entry("viscous_friction", "speed", 1)
@@ -44,16 +39,12 @@ def test_a_share_of_nothing_is_none():
     assert rate([]) == {"hits": 0, "total": 0, "share": None, "ci95": [0.0, 1.0]}
     assert rate([True, False])["share"] == 0.5
     assert micro_f1([])["f1"] is None
-    assert median([]) == {"median": None, "ci95": None, "cases": 0}
 
 
 def test_intervals_hold_the_value():
     found = micro_f1([(1, 0, 0), (1, 1, 0), (0, 1, 1), (2, 0, 0)])
     assert found["f1"] == pytest.approx(8 / 11)
     assert found["ci95"][0] < found["f1"] < found["ci95"][1]
-    middle = median([0.5, 0.9, 0.95, 1.0, 1.1])
-    assert middle["median"] == 0.95
-    assert middle["ci95"][0] <= 0.95 <= middle["ci95"][1]
 
 
 def test_false_alarms_by_colour():
@@ -162,26 +153,10 @@ def test_poor_data():
     assert found["not_testable_or_hedged"]["hits"] == 2
 
 
-def test_closing_is_measured_by_the_oracle():
-    cases = [
-        case("single", FOUND, COULOMB, name="a"),
-        case("single", QUIET, COULOMB, name="b"),
-        case("single", FOUND, COULOMB, name="c"),
-        case("single", FOUND, COULOMB, name="d"),
-    ]
-    found = beside(cases, oracle={"a": 0.9, "b": 0.8, "c": 1.0, "d": 0.01})["closing"]
-    assert found["ratio"]["median"] == pytest.approx(0.9)
-    assert found["ratio"]["cases"] == 3
-    assert found["oracle_closes_nothing"] == 1
-    assert found["oracle"]["median"] == pytest.approx(0.85)
-    assert found["closed"]["median"] == pytest.approx(0.9)
-    assert beside(cases)["closing"]["ratio"]["median"] is None
-
-
-def test_coverage_of_the_closed_share_and_of_coefficients():
+def test_coverage_of_coefficients():
     def found(value: float) -> dict[str, Any]:
         known = RIGHT | {"parameters": {"Fc": value}, "std": {"Fc": 0.1}}
-        return answer("explained", known, how_far={"closed": 0.9, "closed_ci95": [0.8, 0.95]})
+        return answer("explained", known)
 
     truth = {"parameters": {"Fc": 1.0}}
     cases = [
@@ -189,37 +164,8 @@ def test_coverage_of_the_closed_share_and_of_coefficients():
         case("single", found(1.5), COULOMB, name="b", **truth),
         case("severity", found(0.9), COULOMB, name="c", level=5.0, **truth),
     ]
-    closed = beside(cases, truly_closed={"a": 0.9, "b": 0.97})["closed_coverage"]
-    assert (closed["hits"], closed["total"]) == (1, 2)
     coefficients = scores(cases)["coverage"]
     assert (coefficients["hits"], coefficients["total"]) == (2, 3)
-
-
-def test_confusion_says_what_was_named_first_or_why_nothing():
-    cases = [
-        case("single", answer("explained", WRONG, RIGHT | {"share": 0.95}), COULOMB),
-        case("single", answer("explained", WRONG), COULOMB),
-        case("single", QUIET, COULOMB),
-        case("single", answer("detected_unexplained"), ("payload", "inertia", 1)),
-        case("single", answer("error"), ("payload", "inertia", 1)),
-    ]
-    assert confusion(cases) == {
-        "coulomb_friction": {"coulomb_friction": 1, "viscous_friction": 1, "(no gap)": 1},
-        "payload": {"(unexplained)": 1, "(error)": 1},
-    }
-
-
-def test_detection_over_size():
-    cases = [
-        case("severity", QUIET, COULOMB, level=0.1),
-        case("severity", answer("explained", WRONG), COULOMB, level=1.0),
-        case("severity", FOUND, COULOMB, level=1.0),
-    ]
-    assert list(detection(cases)) == ["all effects", "sign"]
-    (low, high) = detection(cases)["sign"]
-    assert (low["level"], low["detected"]["share"], low["named"]["share"]) == (0.1, 0.0, 0.0)
-    assert (high["level"], high["detected"]["share"], high["named"]["share"]) == (1.0, 1.0, 0.5)
-    assert high["size"] == 5.0
 
 
 def test_errors_and_statuses_are_listed():

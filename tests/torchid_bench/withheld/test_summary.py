@@ -1,28 +1,16 @@
-"""A scored set as data, as Markdown and as figures."""
+"""A scored set as data and as a table."""
 
 import json
 
 import pytest
 
 from tests.torchid_bench.withheld.fakes import answer, draw_case, entry, key_of
-from torchid_bench.benchmarks import withheld_beside as extra
-from torchid_bench.benchmarks.withheld_figures import figures
-from torchid_bench.benchmarks.withheld_page import markdown
 from torchid_bench.report.withheld import LINES, score_table
 from torchid_bench.withheld.case_set import CaseSet
-from torchid_bench.withheld.score import scored_case
-from torchid_bench.withheld.score import summary as summary_of
+from torchid_bench.withheld.score import summary
 
 RIGHT = answer("explained", entry("coulomb_friction", "sign", 2))
 WRONG = answer("explained", entry("viscous_friction", "speed", 1))
-
-
-def summary(cases, keys, answers, oracle=None):
-    """With what the benchmark puts beside it."""
-    found = summary_of(cases, keys, answers)
-    ours = [scored_case(key, answers[key["id"]]) for key in keys if key["id"] in answers]
-    found["scores"] |= extra.beside(ours, None if oracle is None else extra.closed_by(oracle))
-    return found
 
 
 @pytest.fixture
@@ -54,43 +42,20 @@ def test_every_case_is_listed_with_what_was_said(cases, keys, answers):
 def test_every_line_has_a_value_and_targets_can_be_missed(cases, keys, answers):
     good = summary(cases, keys, answers)["scores"]
     bad = summary(cases, keys, dict.fromkeys(cases.ids, WRONG))["scores"]
-    met = {line.label: (line.met(good), line.met(bad)) for line in extra.ALL_LINES}
+    met = {line.label: (line.met(good), line.met(bad)) for line in LINES}
     assert met["false alarms, white noise"] == (True, False)
     assert met["one effect: first name right"] == (True, False)
     assert met["one effect: family right"] == (True, False)
     assert met["joints, F1"] == (True, False)
     assert met["outside: wrong family for sure"] == (False, False)
-    assert met["gap closed, of the oracle's"] == (None, None)
-    for line in extra.ALL_LINES:
+    for line in LINES:
         assert line.label
         assert line.path
         assert line.target or line.met(good) is None
-
-
-def test_the_report_holds_scores_and_what_went_wrong(cases, keys, answers):
-    found = summary(cases, keys, answers)
-    text = markdown(found, ["confusion.png"])
-    assert "ab" * 32 in text
-    assert "![confusion.png](confusion.png)" in text
-    assert (
-        "| case-0003 | outside | 2r | air_drag 2 (5.0) | explained | viscous_friction 1 |" in text
-    )
-    assert "| case-0001 |" not in text
-    for block in text.split("\n\n"):
-        if block.startswith("|"):
-            assert len({line.count("|") for line in block.splitlines()}) == 1
 
 
 def test_the_table_has_what_there_are_cases_for(cases, keys, answers):
     found = summary(cases, keys, answers)
     known = [line for line in LINES if line.value(found["scores"]) is not None]
     assert 5 < len(known) < len(LINES)
-    assert len(score_table(found).rows) == len(known)
-
-
-def test_figures_are_drawn_of_what_there_is(cases, keys, answers):
-    found = summary(cases, keys, answers)
-    assert set(figures(found)) == {"confusion"}
-    axes = figures(found)["confusion"]().axes[0]
-    assert [t.get_text() for t in axes.get_yticklabels()] == ["coulomb friction", "air drag"]
-    assert "viscous friction" in [t.get_text() for t in axes.get_xticklabels()]
+    assert len(score_table(found, LINES).rows) == len(known)

@@ -401,7 +401,7 @@ class Library:
 
     def _with_shapes(self, terms: Iterable[Term | None]) -> list[Term]:
         """Candidates that make torque, each with the number of shapes of its key."""
-        some = [t for t in terms if t is not None and self.problem.wanted.asks(t.name, t.joints)]
+        some = [t for t in terms if t is not None and self.problem.wanted.asks(t.name)]
         count: dict[object, int] = {}
         for t in some:
             count[t.key] = count.get(t.key, 0) + 1

@@ -89,7 +89,7 @@ def not_testable(found: Explanation) -> list[NotTestable]:
         if kind.of_bodies and not bodies and kind.starts(robot):
             tell(kind, (), None, "the model's links are no bodies (`torchid extract` finds some)")
         for joints in _places(kind, robot):
-            asked = wanted.asks(kind.name, joints) and (kind.name, joints) not in known
+            asked = wanted.asks(kind.name) and (kind.name, joints) not in known
             if asked and set(joints) <= set(data.silent):
                 tell(kind, joints, None, "the joint's torque holds no signal")
             elif asked:

@@ -1,6 +1,5 @@
 """Cases of the benchmark: drawn from a seed and a number, and simulated."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,12 +7,18 @@ import numpy as np
 
 from torchid.json_data import picked
 from torchid_bench.withheld.plant.arms import arm_named, urdf
-from torchid_bench.withheld.plant.bodies import Array
-from torchid_bench.withheld.plant.catalogue import KINDS, Kind
-from torchid_bench.withheld.plant.draw import CaseSpec, ServoSpec, TorqueSpec, draw_case
+from torchid_bench.withheld.plant.background_case import of_background
+from torchid_bench.withheld.plant.catalogue import KINDS, effect_record
+from torchid_bench.withheld.plant.draw import (
+    BackgroundSpec,
+    CaseSpec,
+    ServoSpec,
+    TorqueSpec,
+    draw_case,
+)
 from torchid_bench.withheld.plant.logger import logged
 from torchid_bench.withheld.plant.model import plant_of
-from torchid_bench.withheld.plant.plan import EffectSpec, Parameters, Plan, Scene
+from torchid_bench.withheld.plant.plan import Plan, Scene
 from torchid_bench.withheld.plant.scene import (
     friction_known,
     moved_otherwise,
@@ -21,11 +26,13 @@ from torchid_bench.withheld.plant.scene import (
     rms,
     scene_of,
 )
+from torchid_bench.withheld.plant.servo_background import STANDARD, surroundings
 from torchid_bench.withheld.plant.servo_catalogue import SERVO_KINDS
 from torchid_bench.withheld.plant.servo_scene import (
     led_motions,
     placed_effect,
     servo_scene,
+    standard_effect,
     visible_effect,
 )
 from torchid_bench.withheld.plant.settings import DRAWS
@@ -63,79 +70,74 @@ class SimulatedCase:
             servos t, u1.., q1.., traj.
         key: what was planted; without an id.
         rotors: (n,) inertia that the maker's data tell of each rotor [kg m^2]; empty if none.
+        more: columns of further files of the log.
+        earlier: of an earlier log; None without one.
     """
 
     urdf: str
     columns: dict[str, np.ndarray]
     key: dict[str, Any]
     rotors: tuple[float, ...] = ()
+    more: tuple[dict[str, np.ndarray], ...] = ()
+    earlier: dict[str, np.ndarray] | None = None
 
 
-def simulate_case(
-    spec: CaseSpec, *, ideal: bool = False, fresh: bool = False, bare: bool = False
-) -> SimulatedCase:
+def simulate_case(spec: CaseSpec, *, ideal: bool = False) -> SimulatedCase:
     """Simulate a case.
 
     Args:
         spec: what it is.
         ideal: whether its log is that of sensors without noise, counts and jitter; everything else
             stays as it is.
-        fresh: whether the same arm, with the same effects, moves along other trajectories of the
-            same kind.
-        bare: whether it is the arm without the effects.
 
     Raises:
         TorchidError: an unknown arm or effect, or a simulation that diverged.
         MissingExtraError: MuJoCo is not installed.
     """
-    if bare:
-        spec = replace(spec, effects=())
+    if isinstance(spec, BackgroundSpec):
+        files = of_background(spec, ideal=ideal)
+        first, *more = files.logs
+        return SimulatedCase(files.urdf, first, files.key, (), tuple(more), files.earlier)
     if isinstance(spec, ServoSpec):
         return _of_servos(spec)
     assert isinstance(spec, TorqueSpec)
-    return _of_torques(spec, ideal=ideal, fresh=fresh)
-
-
-def _record(
-    kinds: Mapping[str, Kind], effect: EffectSpec, felt: Array, parameters: Parameters, size: float
-) -> dict[str, Any]:
-    """What a key says of an effect; `felt` (n,) is whether each joint feels it."""
-    return {
-        "name": effect.name,
-        **picked(kinds[effect.name], "family acceptable=akin"),
-        "joints": [j + 1 for j in effect.joints],
-        "felt_by": (np.flatnonzero(felt) + 1).tolist(),
-        "parameters": parameters,
-        "size": size,
-    }
+    return _of_torques(spec, ideal=ideal)
 
 
 def _of_servos(spec: ServoSpec) -> SimulatedCase:
-    # Effects are placed and sized one after the other, each alone on the arm.
-    rng = np.random.default_rng([spec.seed, spec.number, 2])
-    scene = servo_scene(spec, rng)
-    plan, moved, count = scene.plan, scene.base, scene.servos.count
-    effects: list[dict[str, Any]] = []
-    taken: tuple[int, ...] = ()
+    # Effects are placed and sized one after the other, each alone on the arm as plain servos are.
+    rng = np.random.default_rng([spec.seed, spec.number, 2 if spec.background is None else 6])
+    around = None if spec.background is None else surroundings(spec)
+    scene = servo_scene(spec, rng) if around is None else around.scene
+    plan, moved, taken = scene.plan, scene.base, tuple[int, ...]()
+    if around is not None:
+        plan, moved, taken = around.plan, around.moved, around.still
+    count, effects = scene.servos.count, list[dict[str, Any]]()
     for one in spec.effects:
         effect = placed_effect(scene, one.name, rng, taken)
         taken += effect.joints
-        scale, rms, moved = visible_effect(scene, effect)
+        if around is None:
+            scale, rms, moved = visible_effect(scene, effect)
+        else:
+            scale, rms = standard_effect(scene, effect, STANDARD)
         plan, own = SERVO_KINDS[effect.name].plant(scene, plan, effect, scale)
         felt = rms > max(MOVED * rms.max(), count / 2)
         # Of the largest change, over what an encoder rounds to.
         size = float(rms.max() / (count / np.sqrt(12)))
-        effects.append(_record(SERVO_KINDS, effect, felt, own, size))
-    if len(effects) > 1:
+        effects.append(effect_record(SERVO_KINDS, effect, felt, own, size))
+        if around is not None:
+            effects[-1]["over_background"] = float(rms.max() / around.left[rms.argmax()])
+    if len(effects) > 1 or (effects and around is not None):
         moved = led_motions(scene, plan)
     # What the bus carries: commands, and positions in counts.
-    n, rows = scene.arm.n, [len(u) for u in scene.commands]
-    columns = {
-        "t": np.concatenate([np.arange(k) / spec.rate_hz for k in rows]),
-        **{f"u{j + 1}": np.concatenate([u[:, j] for u in scene.commands]) for j in range(n)},
-        **{f"q{j + 1}": np.concatenate([m.logged[:, j] for m in moved]) for j in range(n)},
-        "traj": np.repeat(np.arange(len(rows)), rows),
-    }
+    files = [
+        {
+            "t": np.arange(len(u)) / spec.rate_hz,
+            **{f"u{j + 1}": x for j, x in enumerate(u.T)},
+            **{f"q{j + 1}": x for j, x in enumerate(m.logged.T)},
+        }
+        for u, m in zip(scene.commands, moved, strict=True)
+    ]
     values = {name: scene.of(name).tolist() for name in scene.servos.values}
     key = {
         **picked(spec, "kind arm rate_hz"),
@@ -144,10 +146,17 @@ def _of_servos(spec: ServoSpec) -> SimulatedCase:
         "background": {**values, **picked(scene.plan.plant, "damping armature")},
         "counts": spec.counts,
     }
-    return SimulatedCase(urdf(scene.arm, np.zeros(n), np.zeros(n)), columns, key)
+    model = urdf(scene.arm, np.zeros(scene.arm.n), np.zeros(scene.arm.n))
+    if around is None:
+        rows = [len(u) for u in scene.commands]
+        columns = {name: np.concatenate([f[name] for f in files]) for name in files[0]}
+        return SimulatedCase(model, {**columns, "traj": np.repeat(np.arange(len(rows)), rows)}, key)
+    key["background"] |= around.key
+    key |= {"share": spec.background, "earlier": False, "left": around.left.tolist()}
+    return SimulatedCase(model, files[0], key, more=tuple(files[1:]))
 
 
-def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
+def _of_torques(spec: TorqueSpec, *, ideal: bool) -> SimulatedCase:
     # The scene, and the arm without effects.
     arm = arm_named(spec.arm)
     known = friction_known(arm, np.array(spec.viscous), np.array(spec.coulomb))
@@ -159,8 +168,6 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
     ]
     if spec.poor:
         scene = moved_otherwise(scene, nominal, spec.poor)
-    if fresh:
-        scene = moved_otherwise(scene, nominal, (spec.poor or spec.motion).another())
     plan, parameters = base, []
     for effect, one in zip(spec.effects, logs, strict=True):
         plan, own = with_effect(scene, plan, effect, one.scale)
@@ -180,7 +187,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool, fresh: bool) -> SimulatedCase:
             sizes[k] = size_of(scene, alone, own_nominal, moved)
     noise_std, torque = scene.noise, scene.torque
     effects = [
-        _record(KINDS, effect, size * noise_std > FELT * torque, own, float(size.max()))
+        effect_record(KINDS, effect, size * noise_std > FELT * torque, own, float(size.max()))
         for effect, own, size in zip(spec.effects, parameters, sizes, strict=True)
     ]
     logger, noise = spec.logger, scene.noise

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from torchid.errors import TorchidError
+from torchid.json_data import picked
 from torchid.yaml_data import parsed_yaml
 from torchid_bench.withheld.plant import friction, mechanics, sensing
 from torchid_bench.withheld.plant.arms import Arm
+from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.friction import Planted
-from torchid_bench.withheld.plant.plan import EffectSpec, Scene
+from torchid_bench.withheld.plant.plan import EffectSpec, Parameters, Scene
 
 Rng = np.random.Generator
 Plant = Callable[..., Planted]
@@ -147,6 +149,20 @@ def read_catalogue(file: str) -> dict[str, dict[str, Any]]:
     """What a catalogue beside this file says of each effect, as fields of a Kind."""
     parsed = parsed_yaml(Path(__file__).with_name(file).read_text(encoding="utf-8"))
     return {name: {**own, "akin": tuple(own.get("akin", ()))} for name, own in parsed.items()}
+
+
+def effect_record(
+    kinds: Mapping[str, Kind], effect: EffectSpec, felt: Array, parameters: Parameters, size: float
+) -> dict[str, Any]:
+    """What a key says of an effect; `felt` (n,) is whether each joint feels it."""
+    return {
+        "name": effect.name,
+        **picked(kinds[effect.name], "family acceptable=akin"),
+        "joints": [j + 1 for j in effect.joints],
+        "felt_by": (np.flatnonzero(felt) + 1).tolist(),
+        "parameters": parameters,
+        "size": size,
+    }
 
 
 KINDS: dict[str, Kind] = {

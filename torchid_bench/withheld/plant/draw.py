@@ -59,6 +59,12 @@ def _block(**cases: int) -> tuple[str, ...]:
 # Of several tips none is `the` one that a payload is on: what a hand carries is its link's.
 _ON_TREES = {name: kind for name, kind in KINDS.items() if name != "payload"}
 
+_DYNAMIC = ("backlash", "joint_elasticity", "flexible_base", "filter_lag")
+"""What bends gives way too little on slow motions; velocities are differences there in any case."""
+
+_REAL = _block(none=4, single=12, several=4, outside=4)
+_SERVOS_FOREIGN = tuple(name for name, kind in SERVO_KINDS.items() if kind.family == OUTSIDE)
+
 MIXES = {
     # Of every sort, for development.
     "mixed": Mix(
@@ -69,13 +75,17 @@ MIXES = {
     # What a release is judged by: other effects outside the library, and of the cases without an
     # effect half have noise that is coloured or grows with speed.
     "release": Mix(_block(none=4, single=8, outside=4, several=3), KINDS, REDRAWN),
-    # Of commands and positions.
-    "position": Mix(
-        _block(none=5, single=9, several=2, outside=4),
-        SERVO_KINDS,
-        tuple(name for name, kind in SERVO_KINDS.items() if kind.family == OUTSIDE),
-        servos=True,
+    # With a background, on motions as people record them.
+    "background": Mix(
+        _REAL,
+        {name: kind for name, kind in KINDS.items() if name not in _DYNAMIC},
+        tuple(name for name in REDRAWN if name not in _DYNAMIC),
     ),
+    # Of commands and positions; with a background, on such motions.
+    "position": Mix(
+        _block(none=5, single=9, several=2, outside=4), SERVO_KINDS, _SERVOS_FOREIGN, servos=True
+    ),
+    "position_background": Mix(_REAL, SERVO_KINDS, _SERVOS_FOREIGN, servos=True),
     # Robots that branch, their base held: causes of the library, and none.
     "tree": Mix(_block(none=5, single=15), _ON_TREES, (), trees=True),
     "tree_position": Mix(
@@ -133,10 +143,25 @@ class ServoSpec(CaseSpec):
     Attributes:
         rate_hz: of the log.
         counts: of an encoder in one turn.
+        background: what plain servos leave, of a cause of standard size; None of plain servos.
     """
 
     rate_hz: float
     counts: int
+    background: float | None = None
+
+
+@dataclass(frozen=True)
+class BackgroundSpec(CaseSpec):
+    """A case of an arm with a background; its effects get their joints once its motion is known.
+
+    Attributes:
+        background: what a fit of all usual laws leaves, of a cause of standard size.
+        earlier: whether there is an earlier log of other motion, without the effects.
+    """
+
+    background: float
+    earlier: bool
 
 
 @dataclass(frozen=True)
@@ -176,6 +201,7 @@ def draw_case(
     arm: str | None = None,
     mix: str = "mixed",
     robots: str = "arms",
+    background: float = 0.0,
 ) -> CaseSpec:
     """A case from a seed and its number; what is given is not drawn.
 
@@ -189,6 +215,8 @@ def draw_case(
         mix: of the set: `mixed` or `release`; `position` for arms of servos, `tree` and
             `tree_position` for robots that branch.
         robots: that the arm is drawn from: `arms`, `tree`, or one that branches.
+        background: of the mixes `background` and `position_background`, of a cause of standard
+            size.
 
     Raises:
         TorchidError: an unknown mix, kind, effect or arm.
@@ -206,13 +234,25 @@ def draw_case(
         raise TorchidError(f"unknown kind of case '{kind}'.", available=sorted(set(own.block)))
     turn = turn_of(seed, number, kind, own.block)
     # None, or one of which each comes once before any comes twice.
+    names: Sequence[str]
     if effects is None and kind == "none":
         effects = ()
     elif effects is None and kind in ("single", "outside"):
         names, salt = (own.library, 104) if kind == "single" else (own.foreign, 103)
         effects = (in_turn(seed, turn, names, salt),)
+    if mix == "background":
+        rng = np.random.default_rng([seed, number, 1])
+        if effects is None:
+            names = [name for name in own.library if name in _SEVERAL]
+            effects = tuple(rng.choice(names, 2, replace=False).tolist())
+        placed = tuple(EffectSpec(str(name), (), {}) for name in effects)
+        name = arm or str(rng.choice(ROBOTS[robots]))
+        return BackgroundSpec(
+            seed, number, kind, arm_named(name).name, placed, background, turn % 2 == 0
+        )
     if own.servos:
-        return _servo_case(seed, number, kind, effects, arm, ROBOTS[robots])
+        servos = _servo_case(seed, number, kind, effects, arm, ROBOTS[robots])
+        return replace(servos, background=background) if mix == "position_background" else servos
     return _torque_case(
         seed, number, kind, effects, arm, turn=turn, level=level, release=mix == "release",
         robots=ROBOTS[robots],

@@ -40,10 +40,6 @@ class MotionPlan:
     moving: tuple[int, ...]
     reach: float = 1.0
 
-    def another(self) -> "MotionPlan":
-        """Other sums of sinusoids, everything else alike."""
-        return replace(self, seed=self.seed ^ 1)
-
 
 @dataclass(frozen=True)
 class Sum:

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from torchid_bench.withheld.plant.arms import Arm
 from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.model import Plant
-from torchid_bench.withheld.plant.motion import Sum
 from torchid_bench.withheld.plant.servo import Servos
 
 
@@ -124,6 +123,17 @@ class Plan:
     servos: Servos | None = None
 
 
+class Moving(Protocol):
+    """A motion: how long it lasts [s], and where it is."""
+
+    @property
+    def seconds(self) -> float:
+        """How long it lasts [s]."""
+
+    def state(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration (T, n) at times (T,); at rest outside."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """What effects need to know of the motion and the arm to choose sensible numbers.
@@ -146,7 +156,7 @@ class Scene:
     """
 
     arm: Arm
-    shapes: tuple[Sum, ...]
+    shapes: tuple[Moving, ...]
     order: tuple[int, ...]
     starts: tuple[float, ...]
     noise: Array

@@ -11,7 +11,7 @@ from torchid_bench.withheld.plant.arms import Arm
 from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.model import compiled, mujoco, plant_of
 from torchid_bench.withheld.plant.motion import MotionPlan, Sum, sums
-from torchid_bench.withheld.plant.plan import Scene
+from torchid_bench.withheld.plant.plan import Moving, Scene
 
 BAND = 20.0
 """Hz below which gaps are measured."""
@@ -82,7 +82,7 @@ def rms(parts: Sequence[Array]) -> Array:
 
 
 _GRID = 0.02  # seconds
-_HEADROOM = 0.85  # share of the effort limit that the nominal motion may need
+HEADROOM = 0.85  # share of the effort limit that the nominal motion may need
 _FLOOR = 2e-3  # of the largest joint's torque: a joint's noise is as if it carried that much
 
 
@@ -105,8 +105,24 @@ def scene_of(
         damping: ratio of the controllers.
     """
     shapes = _shapes(arm, nominal, motion)
+    return scene_along(
+        nominal, shapes, motion.shapes, _starts(motion), arm, noise_share, bandwidth, damping
+    )
+
+
+def scene_along(
+    nominal: Nominal,
+    shapes: tuple[Moving, ...],
+    order: tuple[int, ...],
+    starts: tuple[float, ...],
+    arm: Arm,
+    noise_share: float,
+    bandwidth: float = 5.0,
+    damping: float = 0.8,
+) -> Scene:
+    """The scene of motions, in the order and at the times at which they are driven."""
     states = [shape.state(np.arange(0, shape.seconds, _GRID)) for shape in shapes]
-    all_states = [states[k] for k in motion.shapes]
+    all_states = [states[k] for k in order]
     q, dq, ddq = (np.concatenate(x) for x in zip(*all_states, strict=True))
     rigid = nominal.rigid(q, dq, ddq)
     torque = rigid + nominal.damping * dq + nominal.friction * np.sign(dq)
@@ -120,8 +136,8 @@ def scene_of(
     return Scene(
         arm=arm,
         shapes=shapes,
-        order=motion.shapes,
-        starts=_starts(motion),
+        order=order,
+        starts=starts,
         noise=noise_share * np.maximum(strength, _FLOOR * strength.max()),
         torque=strength,
         peak=np.abs(torque).max(0),
@@ -143,7 +159,7 @@ def _shapes(arm: Arm, nominal: Nominal, motion: MotionPlan) -> tuple[Sum, ...]:
     def bears(shape: Sum) -> bool:
         q, dq, ddq = shape.state(np.arange(0, shape.seconds, 0.05))
         torque = nominal.rigid(q, dq, ddq) + nominal.damping * dq
-        return bool((np.abs(torque) + nominal.friction < arm.available(dq) * _HEADROOM).all())
+        return bool((np.abs(torque) + nominal.friction < arm.available(dq) * HEADROOM).all())
 
     def within(shape: Sum) -> Sum:
         smaller = (shape.scaled(0.85**k) for k in range(6))

@@ -15,6 +15,7 @@ import numpy as np
 from torchid.errors import TorchidError
 from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.model import Plant, compiled, mujoco
+from torchid_bench.withheld.plant.servo_friction import Beyond
 
 STEP = 2e-3
 """Longest step [s]."""
@@ -30,7 +31,7 @@ NEUTRAL = MappingProxyType(
         "sag": 0.0, "fade": 0.0, "offset": 0.0, "delay": 0.0, "lag": 0.0, "late": 0.0,
         "dropped": 0.0, "scale": 1.0, "acceleration": np.inf, "speed": np.inf, "coulomb": 0.0,
         "stiction": 0.0, "stribeck_speed": 1.0, "load_share": 0.0, "motor_share": 0.0,
-        "cogging": 0.0, "teeth": 1.0, "heating": 0.0,
+        "cogging": 0.0, "teeth": 1.0, "heating": 0.0, "jitter": 0.0,
     }
 )  # fmt: skip
 """Every number of a servo, with its value without effect: kp [N m/rad], kd [N m s/rad] on the rate
@@ -39,7 +40,8 @@ clip [N m], sag of the supply per torque of all servos [1/(N m)], fade of kp ove
 offset [N m], delay, lag of a first-order filter, late position readings [s], share of commands that
 are dropped, scale of the command, limits of the set-point's acceleration [rad/s^2] and speed
 [rad/s], coulomb, stiction [N m] that fades with stribeck_speed [rad/s], friction per external and
-per motor torque, cogging [N m] with teeth a turn, heating: how much friction falls [1]."""
+per motor torque, cogging [N m] with teeth a turn, heating: how much friction falls [1],
+jitter of the times at which commands come [samples]."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,15 @@ class Servos:
         values: by name of `NEUTRAL`, (n,) each.
         count: step of the encoders [rad].
         rate_hz: of the log and of the commands.
-        seed: of commands that are dropped.
+        seed: of commands that are dropped, and of jitter.
+        beyond: friction and cables beyond a plain servo's; None of plain servos.
     """
 
     values: Mapping[str, Array] = field(default_factory=dict)
     count: float = 2 * np.pi / 4096
     rate_hz: float = 50.0
     seed: int = 0
+    beyond: Beyond | None = None
 
     def of(self, name: str, n: int) -> Array:
         """(n,) one number of every joint."""
@@ -120,7 +124,8 @@ def _motion(
     model.dof_damping[motors] += p["kd"]
     model.dof_solimp[:, :2] = _RIGID
     model.dof_frictionloss[motors] = p["coulomb"]
-    dry_changes = any(map(servos.has, ("stiction", "load_share", "motor_share", "heating")))
+    beyond, varying = servos.beyond, ("stiction", "load_share", "motor_share", "heating")
+    dry_changes = beyond is not None or any(map(servos.has, varying))
     data, forward = mujoco().MjData(model), mujoco().mj_step
     data.qpos[motors] = given[0]
     bias, tool = data.qfrc_bias, model.body("tool").id
@@ -149,7 +154,11 @@ def _motion(
         data.ctrl[:] = torque + p["offset"] + p["cogging"] * np.sin(p["teeth"] * q)
         if dry_changes:
             dry = p["coulomb"] + p["stiction"] * np.exp(-np.abs(dq) / p["stribeck_speed"])
-            dry += p["load_share"] * np.abs(load) + p["motor_share"] * np.abs(torque - p["kd"] * dq)
+            motor = torque - p["kd"] * dq
+            dry += p["load_share"] * np.abs(load) + p["motor_share"] * np.abs(motor)
+            if beyond is not None:
+                dry = beyond.dry(dry, dq, motor, -load)
+                data.ctrl[:] += beyond.pull(q)
             model.dof_frictionloss[motors] = dry * (1 - p["heating"] * age[k])
         forward(model, data)
     if not np.isfinite(q_of).all() or np.abs(q_of - x).max() > _ASTRAY:
@@ -179,7 +188,9 @@ def set_points(
     last = np.maximum.accumulate(np.where(kept, np.arange(len(u))[:, None], 0), axis=0)
     sent = np.take_along_axis(u, last, 0) * p["scale"]
     # Held until the next one, and late.
-    held = np.repeat(sent, every, 0)
+    come = every * (np.arange(len(u)) + p["jitter"].max() * rng.random(len(u)))
+    come[0] = 0.0
+    held = sent[np.searchsorted(come, np.arange(len(u) * every), "right") - 1]
     late = np.round(p["delay"] / step).astype(int)
     rows = np.maximum(np.arange(len(held))[:, None] - late, 0)
     x = np.take_along_axis(held, rows, 0)

@@ -1,5 +1,6 @@
 """The scene of an arm of servos: its drives, its motions, and effects that its log shows."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,10 +24,23 @@ smaller one is drawn larger."""
 LARGER, TRIES = 1.6, 6
 """By how much it is drawn larger [1], and how many sizes are tried."""
 
+NEAR, SCALES = 1.4, (0.02, 5.0)
+"""How near to a wanted size an effect is drawn [1], and between which scales."""
+
 
 def servo_scene(spec: ServoSpec, rng: Rng) -> ServoScene:
-    """The robot with plain servos: gains as small servos' are beside their loads, or, of
-    quasi-direct drives, as their rotors, which are known, make them as fast."""
+    """The robot with plain servos, and motions that excite them."""
+    plan, inertia = servo_plan(spec, rng)
+    assert plan.servos is not None
+    arm = arm_named(spec.arm)
+    commands = motions(arm, spec.rate_hz, rng)
+    return ServoScene(arm, plan, inertia, commands, moved(plan.plant, plan.servos, commands))
+
+
+def servo_plan(spec: ServoSpec, rng: Rng) -> tuple[Plan, Array]:
+    """The robot with plain servos, and inertias (n,) of its joints with their rotors [kg m^2]:
+    gains as small servos' are beside their loads, or, of quasi-direct drives, as their rotors,
+    which are known, make them as fast."""
     arm = arm_named(spec.arm)
     n, zero = arm.n, np.zeros(arm.n)
     kp = np.array([joint.effort for joint in arm.joints]) * rng.uniform(*DRAWS.servo_gain, n)
@@ -52,10 +66,8 @@ def servo_scene(spec: ServoSpec, rng: Rng) -> ServoScene:
         rate_hz=spec.rate_hz,
         seed=int(rng.integers(2**31)),
     )
-    commands = motions(arm, spec.rate_hz, rng)
     plant = replace(plant, damping=damping, armature=armature)
-    base = moved(plant, servos, commands)
-    return ServoScene(arm, Plan(plant, zero, zero, servos=servos), own + armature, commands, base)
+    return Plan(plant, zero, zero, servos=servos), own + armature
 
 
 def ranges(arm: Arm) -> tuple[Array, Array]:
@@ -119,17 +131,41 @@ def led_motions(scene: ServoScene, plan: Plan) -> list[Moved]:
     return moved(plan.plant, plan.servos, scene.commands)
 
 
+def standard_effect(scene: ServoScene, effect: EffectSpec, standard: float) -> tuple[float, Array]:
+    """The scale at which an effect alone changes the positions of some joint by about so much, RMS
+    [rad], or as near to it as drives bear, and the RMS (n,) of the change."""
+    tried = list[tuple[float, Array]]()
+    (low, high), scale = SCALES, 1.0
+    for _ in range(TRIES):
+        _, rms = _changed(scene, effect, scale, lambda m: m.logged)
+        tried.append((scale, rms))
+        off = standard / max(float(rms.max()), 1e-9)
+        low, high = (max(low, scale), high) if off > 1 else (low, min(high, scale))
+        if max(off, 1 / off) < NEAR or low >= high:
+            break
+        wanted = scale * min(max(off, 0.25), 4.0)
+        # Of what acts beyond a threshold alone a proportion leads nowhere.
+        scale = wanted if low < wanted < high else min((low * high) ** 0.5, 4 * scale)
+    return min(tried, key=lambda one: abs(np.log(max(one[1].max(), 1e-9) / standard)))
+
+
 def visible_effect(scene: ServoScene, effect: EffectSpec) -> tuple[float, Array, list[Moved]]:
     """The scale from which on encoders show an effect alone, the RMS (n,) of what it changes in
     the positions [rad], and how the arm moves."""
     scale = 1.0
     for _ in range(TRIES):
-        found = led_motions(
-            scene, SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)[0]
-        )
-        change = np.concatenate([a.q - b.q for a, b in zip(found, scene.base, strict=True)])
-        rms = np.sqrt((change**2).mean(0))
+        there, rms = _changed(scene, effect, scale, lambda m: m.q)
         if rms.max() > SEEN * scene.servos.count:
             break
         scale *= LARGER
-    return scale, rms, found
+    return scale, rms, there
+
+
+def _changed(
+    scene: ServoScene, effect: EffectSpec, scale: float, of: Callable[[Moved], Array]
+) -> tuple[list[Moved], Array]:
+    """How the arm moves with an effect alone, and the RMS (n,) of what it changes [rad]."""
+    plan, _ = SERVO_KINDS[effect.name].plant(scene, scene.plan, effect, scale)
+    there = led_motions(scene, plan)
+    change = np.concatenate([of(a) - of(b) for a, b in zip(there, scene.base, strict=True)])
+    return there, np.sqrt((change**2).mean(0))

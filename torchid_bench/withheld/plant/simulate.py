@@ -7,7 +7,7 @@ controllers' velocity gain are implicit (implicitfast): what they do in step k i
 the step's new velocity, and that is the torque that is recorded.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
@@ -19,11 +19,12 @@ from torchid.errors import TorchidError
 from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.catalogue import kind_named
 from torchid_bench.withheld.plant.model import compiled, mujoco
-from torchid_bench.withheld.plant.motion import SETTLE, Sum
+from torchid_bench.withheld.plant.motion import SETTLE
 from torchid_bench.withheld.plant.plan import (
     Act,
     EffectSpec,
     Live,
+    Moving,
     Parameters,
     Plan,
     Scene,
@@ -83,7 +84,7 @@ def _trajectory(scene: Scene, plan: Plan, nominal: Nominal, step: float, number:
     model, motors = compiled(plan.plant, scene.kp, scene.kd, step)
     data = mujoco().MjData(model)
     offset = 0.0 if plan.offset is None else plan.offset
-    data.qpos[motors] = shape.middle + offset
+    data.qpos[motors] = shape.state(own[:1])[0][0] + offset
     live = Live(
         data.qpos, data.qvel, data.qfrc_applied, model.dof_frictionloss, model.dof_damping,
         motors, command, scene.kp, scene.kd, own + scene.starts[number], step,
@@ -132,7 +133,7 @@ def _run(
     return q, dq, -friction, -added
 
 
-def commands(shape: Sum, t: Array, scene: Scene, nominal: Nominal) -> Array:
+def commands(shape: Moving, t: Array, scene: Scene, nominal: Nominal) -> Array:
     """kp q + kd dq + feed-forward along the reference (T, n)."""
     q, dq, _ = shape.state(t)
     coarse = np.arange(t[0], t[-1] + _FEED, _FEED)
@@ -223,23 +224,42 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
         TorchidError: the arm bears the effect at no size that was tried.
     """
     kind = kind_named(effect.name)
-    largest = kind.largest(scene, effect)
-    scale = min(largest, kind.usual(scene, effect) * level / 5.0)
     still: list[Trace] = []
-    tried: list[Sized] = []
-    for _ in range(_TRIES):
+
+    def measured(scale: float) -> Array:
         plan, _ = with_effect(scene, base, effect, scale)
         if kind.sensing:
-            still = still or simulated(scene, base, nominal, COARSE)
-            traces = still
-        else:
-            try:
-                traces = simulated(scene, plan, nominal, COARSE)
-            except TorchidError:
-                # More than the controllers bear.
-                largest = scale = 0.5 * scale
-                continue
-        size = size_of(scene, plan, nominal, traces)
+            still[:] = still or simulated(scene, base, nominal, COARSE)
+        traces = still if kind.sensing else simulated(scene, plan, nominal, COARSE)
+        return size_of(scene, plan, nominal, traces)
+
+    usual = kind.usual(scene, effect) * level / 5.0
+    return scale_of(measured, usual, kind.largest(scene, effect), level, effect.name)
+
+
+def scale_of(
+    measured: Callable[[float], Array], usual: float, largest: float, level: float, name: str
+) -> Sized:
+    """The scale at which an effect has a wanted size, or the largest that it may have.
+
+    Args:
+        measured: (n,) its size at a scale; an error where the arm does not bear it.
+        usual, largest: scales to begin with, and at most.
+        level: wanted size, the largest of all joints.
+        name: of the effect.
+
+    Raises:
+        TorchidError: the arm bears the effect at no size that was tried.
+    """
+    scale = min(largest, usual)
+    tried: list[Sized] = []
+    for _ in range(_TRIES):
+        try:
+            size = measured(scale)
+        except TorchidError:
+            # More than the controllers bear.
+            largest = scale = 0.5 * scale
+            continue
         tried.append(Sized(scale, size))
         if abs(size.max() / level - 1) < _CLOSE:
             break
@@ -248,7 +268,7 @@ def sized(scene: Scene, base: Plan, nominal: Nominal, effect: EffectSpec, level:
             break
         scale = following
     if not tried:
-        raise TorchidError(f"{effect.name} is more than the arm bears at any size.")
+        raise TorchidError(f"{name} is more than the arm bears at any size.")
     return min(tried, key=lambda s: abs(np.log(s.size.max() / level)))
 
 

@@ -1,0 +1,40 @@
+"""The oracle's classes of a set are made once, and known for planted effects alone."""
+
+import json
+
+import pytest
+
+from torchid_bench.withheld import decidable
+from torchid_bench.withheld.case_set import CaseSet
+from torchid_bench.withheld.decidable import classes_of, judged
+
+
+def test_classes_are_kept_beside_the_set(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        decidable, "judged", lambda *case: asked.append(case) or [{"ideally": {"class": "below"}}]
+    )
+    cases = CaseSet(tmp_path / "set", 3, ("case-0001", "case-0002"), "", "", background=0.15)
+    found = classes_of(cases)
+    assert asked == [(3, 0.15, 0), (3, 0.15, 1)]
+    assert classes_of(cases) == found == {
+        name: [{"ideally": {"class": "below"}}] for name in cases.ids
+    }  # fmt: skip
+    assert len(asked) == 2
+    assert json.loads((tmp_path / "set.classes.json").read_text())["classes"] == found
+
+
+@pytest.mark.slow
+def test_a_large_effect_is_told_apart_where_the_background_is_known():
+    every = [(k, *judged(5, 0.07, k)) for k in range(6)]
+    single = [one for _, *own in every for one in own]
+    assert single
+    for one in single:
+        assert one["in_practice"]["share_of_torque"] == one["ideally"]["share_of_torque"]
+        assert {one[how]["class"] for how in one} <= {
+            "below", "undecidable", "ambiguous", "decidable"
+        }  # fmt: skip
+    known = [one["ideally"]["over_nothing"] for one in single]
+    real = [one["in_practice"]["over_nothing"] for one in single]
+    assert sorted(known)[len(known) // 2] > sorted(real)[len(real) // 2]
+    assert any(one["ideally"]["class"] == "decidable" for one in single)
