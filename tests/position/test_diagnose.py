@@ -64,7 +64,7 @@ def test_a_planted_cause_is_named(cause, tmp_path):
     assert said.after.on == (log.names[0],)
     assert said.after.how == "held out"
     assert said.left_out.value == result.answered.whole_mrad
-    assert [len(found.plot("where").axes) for found in (result, again)] == [3, 3]
+    assert [len(found.plot("where").axes) for found in (result, again)] == [2, 2]
     # Its model, moved by the commands, goes where the arm went.
     moved = replay(result.corrected, log)
     assert float(moved.error.mean()) < 0.5 * again.how_far.commanded.whole_mrad
