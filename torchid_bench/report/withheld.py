@@ -98,7 +98,10 @@ BACKGROUND = (
         ("background", "first", "ideally", "beside_small", "share"),
     ),
     Line("new names above .9: right", ("background", "sure", "share")),
-    Line("new names above .9: right, or a small thing", ("background", "sure_or_there", "share")),
+    Line(
+        "new names above .9: right, or there without an earlier log",
+        ("background", "sure_or_there", "share"),
+    ),
     Line("cases with a false name above .9", ("background", "cases_with_false_sure", "share")),
     Line("nothing planted: false name above .5", ("background", "nothing", "likely", "share")),
     Line("nothing planted: false name above .9", ("background", "nothing", "sure", "share")),
