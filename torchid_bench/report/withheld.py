@@ -58,11 +58,7 @@ class Line:
         value = self.value(scores)
         if value is None:
             return "-", "", ""
-        entry = (
-            {}
-            if self.path[-1] in ("set_size", "brier", "median", "worst", "names_a_case")
-            else self.entry(scores)
-        )
+        entry = self.entry(scores)
         between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
         count = f"{entry['cases']} cases" if "cases" in entry else ""
         if "total" in entry:
