@@ -58,11 +58,7 @@ class Line:
         value = self.value(scores)
         if value is None:
             return "-", "", ""
-        entry = (
-            {}
-            if self.path[-1] in ("set_size", "brier", "median", "worst", "names_a_case")
-            else self.entry(scores)
-        )
+        entry = self.entry(scores)
         between = " to ".join(self._plain(end) for end in entry.get("ci95") or ())
         count = f"{entry['cases']} cases" if "cases" in entry else ""
         if "total" in entry:
@@ -98,7 +94,10 @@ BACKGROUND = (
         ("background", "first", "ideally", "beside_small", "share"),
     ),
     Line("new names above .9: right", ("background", "sure", "share")),
-    Line("new names above .9: right, or a small thing", ("background", "sure_or_there", "share")),
+    Line(
+        "new names above .9: right, or there without an earlier log",
+        ("background", "sure_or_there", "share"),
+    ),
     Line("cases with a false name above .9", ("background", "cases_with_false_sure", "share")),
     Line("nothing planted: false name above .5", ("background", "nothing", "likely", "share")),
     Line("nothing planted: false name above .9", ("background", "nothing", "sure", "share")),

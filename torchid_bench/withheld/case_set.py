@@ -192,9 +192,9 @@ def make(
 ) -> CaseSet:
     """Write the first `count` cases of a seed, and their keys apart.
 
-    A case depends on seed, kind, mix and number alone, so a smaller set is the beginning of a
-    larger one. A set appears in its place when it is complete, or not at all; one that was
-    interrupted goes on where it stopped.
+    A case depends on seed, kind, mix, robots, background and number alone, so a smaller set is the
+    beginning of a larger one. A set appears in its place when it is complete, or not at all; one
+    that was interrupted goes on where it stopped.
 
     Args:
         folder: of the set; it must not exist yet, or be empty.

@@ -1,8 +1,8 @@
 """What can be known of the cases of a set with a background: classes of its effects by the oracle,
 ideally and in practice; of servos by how much they change the positions.
 
-Classes of a set are kept beside its keys, DIR.classes.json; those of the sets that a release is
-judged by are in the package and are not made again.
+Classes of a set are kept beside its keys, DIR.classes.json; those of sets that figures are stated
+of are in the package, `classes`, and are not made again.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from torchid.json_data import read_json, write_json
+from torchid.json_data import picked, read_json, write_json
 from torchid.log.readers import read_log
 from torchid.parallel.workers import Progress, each
 from torchid.robot.library import load_robot
@@ -24,7 +24,7 @@ from torchid_bench.withheld.plant.background_case import Files, of_background
 from torchid_bench.withheld.plant.draw import BackgroundSpec, draw_case
 
 FIXED = Path(__file__).with_name("classes")
-"""Of sets whose cases may not change, by seed and background."""
+"""Of sets that figures are stated of, by the SHA-256 of their keys."""
 
 Classes = dict[str, list[dict[str, Any]]]
 """By case: of each effect its classes `ideally` and `in_practice`."""
@@ -59,21 +59,20 @@ def classes_of(cases: CaseSet, *, jobs: int = 1, progress: Progress | None = Non
         jobs: processes.
         progress: called with (stage, done, total).
     """
-    fixed = FIXED / f"{cases.seed}-{cases.background:g}.json"
     beside = cases.folder.parent / f"{cases.folder.name}.classes.json"
     kept: Classes = {}
-    for path in (fixed, beside):
+    for path in (FIXED / f"{cases.keys_sha256[:16]}.json", beside):
         if path.is_file():
-            kept = read_json(path, "classes of planted effects")["classes"]
-            break
+            known = read_json(path, "classes of planted effects")
+            if known["keys_sha256"] == cases.keys_sha256:
+                kept |= known["classes"]
     numbers = [k for k, case in enumerate(cases.ids) if case not in kept]
     judge = partial(judged, cases.seed, float(cases.background or 0.0))
     for first in range(0, len(numbers), 2 * jobs):  # what is stopped goes on from here
         some = numbers[first : first + 2 * jobs]
         new = each(judge, some, jobs, f"asking the oracle, from {first + 1}", progress)
         kept |= {cases.ids[k]: one for k, one in zip(some, new, strict=True)}
-        about = {"seed": cases.seed, "background": cases.background}
-        write_json({**about, "classes": kept}, beside)
+        write_json({**picked(cases, "seed background keys_sha256"), "classes": kept}, beside)
     return kept
 
 
@@ -94,7 +93,7 @@ def judged(seed: int, background: float, number: int) -> list[dict[str, Any]]:
         others = [i for i in every if i != k]
         without = _half(of_background(spec, only=others), planted) if others else bare
         names = (effect["name"], *effect["acceptable"])
-        joints = [j - 1 for j in {*effect["joints"], *effect["felt_by"]}]
+        joints = [j - 1 for j in effect["joints"] or effect["felt_by"]]
         truths.append(Truth.of(names, joints, planted, without))
     asked = zip(in_practice(planted, bare, truths), ideally(planted, quiet, truths), strict=True)
     return [{"in_practice": real, "ideally": known} for real, known in asked]

@@ -114,6 +114,8 @@ def test_a_log_without_an_answer_has_named_nothing():
         ([named("presliding_hysteresis", "hysteresis", 2, 0.8)], "explained", 1),
         ([named("joint_spring", "gravity", 2, 0.8)], "explained", 0),
         ([named("joint_spring", "gravity", 2, 0.8)], "partly_explained", 1),
+        ([named("joint_spring", "gravity", 2, 0.99)], "partly_explained", 0),
+        ([named("presliding_hysteresis", "hysteresis", 3, 0.8)], "explained", 0),
     ],
 )
 def test_of_an_effect_of_no_library_an_honest_answer_is_right(which, status, honest):

@@ -1,6 +1,7 @@
 """The oracle's classes of a set are made once, and known for planted effects alone."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -14,13 +15,17 @@ def test_classes_are_kept_beside_the_set(tmp_path, monkeypatch):
     monkeypatch.setattr(
         decidable, "judged", lambda *case: asked.append(case) or [{"ideally": {"class": "below"}}]
     )
-    cases = CaseSet(tmp_path / "set", 3, ("case-0001", "case-0002"), "", "", background=0.15)
+    cases = CaseSet(tmp_path / "set", 3, ("case-0001", "case-0002"), "ab", "", background=0.15)
     found = classes_of(cases)
     assert asked == [(3, 0.15, 0), (3, 0.15, 1)]
     assert classes_of(cases) == found == {
         name: [{"ideally": {"class": "below"}}] for name in cases.ids
     }  # fmt: skip
     assert len(asked) == 2
+    # Those of another set that lay in this place are none of its.
+    other = replace(cases, seed=4, keys_sha256="cd")
+    assert classes_of(other) == found
+    assert asked[2:] == [(4, 0.15, 0), (4, 0.15, 1)]
     assert json.loads((tmp_path / "set.classes.json").read_text())["classes"] == found
 
 

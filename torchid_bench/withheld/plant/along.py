@@ -81,20 +81,20 @@ def slipping(q: Array, lengths: Array) -> Array:
     return out
 
 
-def torque_along(plan: Plan, path: Path, before: Array | None = None) -> Array:
+def torque_along(plan: Plan, path: Path, like: tuple[Plan, Array] | None = None) -> Array:
     """Torque (T, n) of the motors [N m].
 
     Args:
         plan: the arm with its effects, their sensors left out; nothing in it gives way.
         path: of the motors.
-        before: (T, n) torque of the arm without its laws, as a law may need it; computed if None.
+        like: another plan, with its torque without laws, which is this one's where only laws and
+            sensors differ.
     """
-    offset = 0.0 if plan.offset is None else plan.offset
-    q = path.q + offset
-    tau = rigid_along(plan, path) if before is None else before
-    if plan.laws:
-        tau = tau + _resisting(plan, path, q, tau)
-    return tau
+    same = like is not None and plan.plant is like[0].plant
+    same &= plan.offset is None and plan.push is None
+    tau = like[1] if like is not None and same else rigid_along(plan, path)
+    q = path.q + (0.0 if plan.offset is None else plan.offset)
+    return tau + _resisting(plan, path, q, tau) if plan.laws else tau
 
 
 def rigid_along(plan: Plan, path: Path) -> Array:
@@ -149,14 +149,19 @@ def _resisting(plan: Plan, path: Path, q: Array, tau: Array) -> Array:
     """Torque (T, n) of the motors against the laws that effects add; `tau` (T, n) is what they
     exert otherwise."""
     n, zero = plan.plant.n, np.zeros(plan.plant.n)
+    # Laws that ask for a motor's torque see what they made it in the step before, in columns that
+    # are theirs to read.
+    motor = np.asfortranarray(tau.copy())
     live = Live(
         q[0].copy(), path.dq[0].copy(), np.zeros(n), plan.plant.friction.copy(),
-        plan.plant.damping.copy(), np.arange(n), tau, zero, zero, path.t + path.start, path.step,
+        plan.plant.damping.copy(), np.arange(n), motor, zero, zero, path.t + path.start, path.step,
     )  # fmt: skip
     acts = [law(live) for law in plan.laws]
     out = np.empty_like(q)
     for k in range(len(q)):
         live.q[:], live.dq[:], live.applied[:] = q[k], path.dq[k], 0.0
+        if k:
+            motor[k] += out[k - 1]
         for act in acts:
             act(k)
         dry, wet = live.friction - plan.plant.friction, live.damping - plan.plant.damping

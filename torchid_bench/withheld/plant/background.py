@@ -29,7 +29,7 @@ NAMES = (
     "coulomb_friction", "viscous_friction", "power_law_friction", "load_dependent_friction",
     "stribeck_friction", "asymmetric_friction", "thermal_friction_drift", "presliding_hysteresis",
     "load_hysteresis", "motor_ripple", "torque_gain", "time_delay", "filter_lag", "link_inertia",
-    "all_base",
+    "all_base", "payload",
 )  # fmt: skip
 """Of effects that the small things are, on every joint: who names one of them names what is there,
 however small."""
@@ -106,7 +106,7 @@ def drawn_background(rng: Rng, scene: Scene) -> Background:
         wave=waves,
         phase=rng.uniform(0, 2 * np.pi, n),
         gain=rng.uniform(-0.02, 0.02, n),
-        late=rng.uniform(1e-3, 3e-3) + rng.uniform(0, 2e-3, n).clip(0, 1e-3),
+        late=rng.uniform(1e-3, 2e-3) + rng.uniform(0, 2e-3, n),
         waves=drawn_waves(rng, n),
         level=np.zeros((2, n)),
         scale=np.ones(n),
@@ -140,16 +140,14 @@ def small_things(b: Background, plan: Plan, path: Path, load: Array, warm: float
     speed, age = np.abs(path.dq), (warm + path.start + path.t)[:, None]
     known, wet = plan.plant.friction, plan.plant.damping
     falling = np.exp(-((speed / b.speed) ** 2))
-    limit = known * (
-        b.excess * falling
-        + b.uneven * np.sign(path.dq)
-        - b.warming * (1 - np.exp(-age / b.seconds))
-    )
+    limit = known * (b.excess * falling - b.warming * (1 - np.exp(-age / b.seconds)))
     limit += b.load * np.abs(load) * (0.6 + 0.4 * falling)
     limit = np.maximum(b.scale * limit, (_LEAST - 1) * known)
     viscous = wet * np.sign(path.dq) * (speed**b.bend * b.usual ** (1 - b.bend) - speed)
     ripple = b.ripple * load * np.sin(b.wave * path.q + b.phase)
-    return limit * path.bent + b.scale * (viscous + ripple) + b.cable * _pull(b, path.q)
+    uneven = known * b.uneven * np.abs(path.bent)
+    rest = b.scale * (uneven + viscous + ripple)
+    return limit * path.bent + rest + b.cable * _pull(b, path.q)
 
 
 def _pull(b: Background, q: Array) -> Array:

@@ -48,6 +48,7 @@ STANDARD = 0.05
 FELT = 0.01
 """Share of a joint's torque from which on it feels an effect: the least that is worth a name."""
 
+_SHARP = 1e-5  # presliding of friction that only has a direction [rad]
 _COARSE = 4  # each so many instants tell how large an effect is
 _WARM = 1500.0, 3000.0  # seconds for which an arm had moved before its log: it is warm, not done
 _FASTER = 0.05  # rad/s: a joint that never is so fast does not move
@@ -62,13 +63,20 @@ class Session:
 
     Attributes:
         scene: of them.
-        paths: of its motors.
         warm: for how long the arm had moved before [s].
+        paths: of its motors.
+        loads: torque (T, n) that the gears of the arm without effects transmit, one a path [N m].
     """
 
     scene: Scene
-    paths: list[Path]
     warm: float
+    paths: tuple[Path, ...] = ()
+    loads: tuple[Array, ...] = ()
+
+    def of(self, plan: Plan, lengths: Array) -> "Session":
+        """The same of an arm whose dry friction bends by so much (n, m) before it slides."""
+        paths = tuple(paths_of(self.scene, lengths))
+        return replace(self, paths=paths, loads=tuple(rigid_along(plan, path) for path in paths))
 
 
 @dataclass(frozen=True)
@@ -114,14 +122,16 @@ def of_background(
     before = _session(rng, arm, known, styles[3:])
     # The background is that of the asked motions.
     small = drawn_background(numbers(5), asked.scene)
-    asked, before = (replace(s, paths=paths_of(s.scene, small.lengths)) for s in (asked, before))
-    loads = [rigid_along(healthy, path) for path in asked.paths]
+    bent = asked.of(healthy, small.lengths)
     small = scaled(
-        small, healthy, asked.scene, asked.paths, loads, asked.warm, spec.background * STANDARD
-    )
+        small, healthy, asked.scene, bent.paths, bent.loads, asked.warm,
+        spec.background * STANDARD,
+    )  # fmt: skip
     if quiet:
         none = dict.fromkeys(("scale", "cable", "gain", "late"), np.zeros(arm.n))
-        healthy, small, only = Plan(plant_of(arm, *known), *known), replace(small, **none), ()
+        small = replace(small, presliding=np.full(arm.n, _SHARP), **none)
+        healthy, only = Plan(plant_of(arm, *known), *known), ()
+    asked = asked.of(healthy, small.lengths)
     # The effects, each of standard size on the arm without the others.
     effects = _placed(numbers(6), spec, arm, asked)
     plan, records = healthy, list[dict[str, Any]]()
@@ -137,7 +147,7 @@ def of_background(
         records.append(effect_record(KINDS, effect, one.size > FELT, own, float(one.size.max())))
     logger = _logger(numbers(7), ideal=ideal)
     lost = 0.0 if ideal else float(numbers(8).uniform(0.0, 3e-3))
-    write = _writing(spec, logger, lost, small, healthy)
+    write = _writing(spec, logger, lost, small, healthy, ideal=ideal)
     key = {
         "kind": spec.kind, "arm": spec.arm, "rate_hz": logger.rate_hz,
         "colour_hz": logger.colour_hz, "level": None, "effects": records,
@@ -145,7 +155,17 @@ def of_background(
         "background": {name: x.tolist() for name, x in asdict(small).items()},
         "noise_std": asked.scene.noise.tolist(), "torque": asked.scene.torque.tolist(),
     }  # fmt: skip
-    earlier = write(before, healthy, 1)[0] if spec.earlier else None
+    earlier = None
+    if spec.earlier:
+        # Of an arm whose friction is what the file knows of it.
+        more = plan.known_damping - known[0], plan.known_friction - known[1]
+        plant = replace(
+            healthy.plant,
+            damping=healthy.plant.damping + more[0],
+            friction=healthy.plant.friction + more[1],
+        )
+        described = replace(healthy, plant=plant)
+        earlier = write(before.of(healthy, small.lengths), described, 1)[0]
     model = urdf(arm, plan.known_damping, plan.known_friction)
     return Files(model, tuple(write(asked, plan, 0)), earlier, key)
 
@@ -159,7 +179,7 @@ def _session(rng: Rng, arm: Arm, known: tuple[Array, Array], styles: Sequence[st
     starts = (0.0, *ends[:-1].tolist())
     share = float(rng.uniform(*DRAWS.noise))
     scene = scene_along(nominal, motions, tuple(range(len(styles))), starts, arm, share)
-    return Session(scene, [], float(rng.uniform(*_WARM)))
+    return Session(scene, float(rng.uniform(*_WARM)))
 
 
 def _placed(rng: Rng, spec: BackgroundSpec, arm: Arm, session: Session) -> list[EffectSpec]:
@@ -196,10 +216,9 @@ def _sizes(
 
     def size(scale: float) -> Array:
         plan, _ = with_effect(scene, healthy, effect, scale)
-        same = plan.plant is healthy.plant and plan.offset is None and plan.push is None
         parts = []
         for path, own in zip(paths, bare, strict=True):
-            tau = read(plan, path, torque_along(plan, path, own if same else None)).tau
+            tau = read(plan, path, torque_along(plan, path, (healthy, own))).tau
             tau = with_held_torque(tau, path.t, plan.held, path.number)
             more = plan.known_damping - healthy.known_damping
             dry = plan.known_friction - healthy.known_friction
@@ -233,20 +252,23 @@ def _logger(rng: Rng, *, ideal: bool) -> Logger:
 
 
 def _writing(
-    spec: BackgroundSpec, logger: Logger, lost: float, small: Background, healthy: Plan
+    spec: BackgroundSpec,
+    logger: Logger,
+    lost: float,
+    small: Background,
+    healthy: Plan,
+    *,
+    ideal: bool,
 ) -> Callable[[Session, Plan, int], list[dict[str, Array]]]:
     """What the logger writes of a session of a plan: a table a motion."""
     tick = 2 * np.pi / 2**logger.encoder_bits
     corner = float(np.random.default_rng([spec.seed, spec.number, 9]).uniform(20.0, 60.0))
     filtering = butter(2, corner, fs=1 / STEP, output="sos")
-    ideal = logger.encoder_bits == 48
 
     def write(session: Session, plan: Plan, number: int) -> list[dict[str, Array]]:
         out, noise = [], 0.0 if ideal else 1.0
-        for path in session.paths:
-            load = rigid_along(healthy, path)
-            same = plan.plant is healthy.plant and plan.offset is None and plan.push is None
-            tau = torque_along(plan, path, load if same else None)
+        for path, load in zip(session.paths, session.loads, strict=True):
+            tau = torque_along(plan, path, (healthy, load))
             tau = tau + small_things(small, healthy, path, load, session.warm)
             seen = read(plan, path, tau)
             t = seen.t

@@ -7,7 +7,7 @@ import numpy as np
 
 from torchid.json_data import picked
 from torchid_bench.withheld.plant.arms import arm_named, urdf
-from torchid_bench.withheld.plant.background_case import of_background
+from torchid_bench.withheld.plant.background_case import FELT, of_background
 from torchid_bench.withheld.plant.catalogue import KINDS, effect_record
 from torchid_bench.withheld.plant.draw import (
     BackgroundSpec,
@@ -49,9 +49,6 @@ __all__ = ["CaseSpec", "SimulatedCase", "draw_case", "simulate_case"]
 
 FINE = 2.5e-4
 """Step of the simulation that is logged [s]."""
-
-FELT = 0.01
-"""Share of a joint's torque from which on it feels an effect: the least that is worth a name."""
 
 MOVED = 0.1
 """Share of the largest change of a joint's positions from which on a joint feels an effect."""

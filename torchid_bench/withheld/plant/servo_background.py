@@ -30,9 +30,9 @@ STANDARD = 0.01
 
 NAMES = (
     "stribeck_friction", "load_dependent_friction", "motor_dependent_friction", "torque_offset",
-    "command_delay",
+    "command_delay", "payload", "supply_sag",
 )  # fmt: skip
-"""Of effects that the small things are, masses and jitter among them."""
+"""Of effects that the small things are: gear friction, masses, sag and jitter among them."""
 
 _CREEP = 0.02  # rad/s below which a joint stands
 _MOVES = 0.05  # rad/s: a joint that never is so fast does not move

@@ -1,4 +1,5 @@
-"""What pulls at joints as two of them stand, like cables: smooth, and of no usual law."""
+"""What pulls at joints as two of them stand, like cables: smooth, of no usual law, and no one
+potential's."""
 
 import numpy as np
 
