@@ -7,7 +7,7 @@ import pytest
 
 from torchid_bench.withheld import decidable
 from torchid_bench.withheld.case_set import CaseSet
-from torchid_bench.withheld.decidable import classes_of, judged
+from torchid_bench.withheld.decidable import FIXED, classes_of, judged
 
 
 def test_classes_are_kept_beside_the_set(tmp_path, monkeypatch):
@@ -43,3 +43,17 @@ def test_a_large_effect_is_told_apart_where_the_background_is_known():
     real = [one["in_practice"]["over_nothing"] for one in single]
     assert sorted(known)[len(known) // 2] > sorted(real)[len(real) // 2]
     assert any(one["ideally"]["class"] == "decidable" for one in single)
+
+
+@pytest.mark.parametrize("path", sorted(FIXED.glob("*.json")), ids=lambda path: path.stem)
+def test_kept_classes_are_those_of_their_keys_and_half_can_be_decided(path, monkeypatch):
+    document = json.loads(path.read_text())
+    assert document["keys_sha256"][:16] == path.stem
+    every = [one["in_practice"]["class"] for own in document["classes"].values() for one in own]
+    assert every.count("decidable") >= len(every) / 2
+    monkeypatch.setattr(decidable, "judged", lambda *case: pytest.fail("asked again"))
+    cases = CaseSet(
+        path.parent, document["seed"], tuple(document["classes"]), document["keys_sha256"], "",
+        background=document["background"],
+    )  # fmt: skip
+    assert classes_of(cases) == document["classes"]
