@@ -163,7 +163,8 @@ def main(
     beds = []
     for label in logs:
         beds.append(bed := Bed.of(label, data, work))
-        bed.plant(effects, sizes)
+        if not (classes or score):
+            bed.plant(effects, sizes)
         cases = bed.cases(effects, sizes)
         if classes:
             bed.classify(cases, work)

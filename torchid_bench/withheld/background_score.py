@@ -85,9 +85,8 @@ def right(row: Row, claim: Claim) -> bool:
 def _names(planted: Planted, claim: Claim, *, in_set: bool = False) -> bool:
     names = claim.names if in_set else {claim.name}
     family = {claim.family} if planted.family == "outside" else set()
-    here, there = set(planted.place), set(claim.place)
-    near = not here or not there or bool(here & there)
-    return near and not (names | family).isdisjoint((planted.name, *planted.acceptable))
+    right = (planted.name, *planted.acceptable)
+    return claim.near(planted) and not (names | family).isdisjoint(right)
 
 
 def _own(claim: Claim) -> float:

@@ -70,8 +70,7 @@ def how_named(row: Row) -> Named:
 def _same_branch(planted: Planted, claim: Claim) -> bool:
     """Whether a claim is of a cause's branch, at its place."""
     branches = {BRANCH_OF.get(name, name) for name in (planted.name, claim.name)}
-    here, there = set(planted.place), set(claim.place)
-    return len(branches) == 1 and (not here or not there or bool(here & there))
+    return len(branches) == 1 and claim.near(planted)
 
 
 def joint_counts(row: Row) -> Counts:
@@ -112,10 +111,9 @@ def matching_counts(row: Row, strict: bool) -> Counts:
     """
 
     def fits(planted: Planted, claim: Claim) -> bool:
-        here, there = set(planted.place), set(claim.place)
         if strict:
-            return planted.name == claim.name and here == there
-        return planted.name in claim.names and (not here or not there or bool(here & there))
+            return planted.name == claim.name and set(planted.place) == set(claim.place)
+        return planted.name in claim.names and claim.near(planted)
 
     hits = largest_matching([[fits(p, c) for c in row.claims] for p in row.planted])
     return hits, len(row.claims) - hits, len(row.planted) - hits

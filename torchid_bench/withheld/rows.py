@@ -59,6 +59,11 @@ class Claim:
         """The name, and those that it may be instead."""
         return {self.name, *self.ambiguous}
 
+    def near(self, planted: "Planted") -> bool:
+        """Whether they have a joint in common, or one of them is on the whole arm."""
+        here, there = set(planted.place), set(self.place)
+        return not here or not there or bool(here & there)
+
     @property
     def structural(self) -> bool:
         """Whether it says more than that inertial parameters are wrong."""

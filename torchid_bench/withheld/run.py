@@ -3,7 +3,7 @@ knows where keys are, or reads one."""
 
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -70,7 +70,6 @@ def jobs_of(cases: CaseSet, settings: GapSettings) -> list[Job]:
 def run(
     todo: Sequence[Job],
     *,
-    method: Callable[[Job], dict[str, Any]] | None = None,
     jobs: int = 1,
     again: bool = False,
     progress: Progress | None = None,
@@ -82,7 +81,6 @@ def run(
 
     Args:
         todo: from `jobs_of`.
-        method: what answers a job and writes its file; `diagnose_case` if None.
         jobs: processes, of one thread each.
         again: whether answers of another torchid, or with other settings, are replaced.
         progress: called with (stage, done, total).
@@ -120,40 +118,38 @@ def run(
         if progress is not None:
             progress(stage, kept + done, len(todo))
 
-    new = each(method or diagnose_case, left, jobs, "diagnosing", say)
+    new = each(diagnose_case, left, jobs, "diagnosing", say)
     answers |= {job.case: answer for job, answer in zip(left, new, strict=True)}
     return {job.case: answers[job.case] for job in todo}
 
 
 def diagnose_case(job: Job) -> dict[str, Any]:
     """Diagnose one case and write its answer."""
-    return written_answer(job, lambda: _answer(job), {"which": []})
+    return written_answer(job, lambda: _answer(job))
 
 
-def written_answer(
-    job: Job, answer: Callable[[], dict[str, Any]], failed: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
+def written_answer(job: Job, answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """What a method answers to a job, and what it was obtained with, written to the job's file.
 
     Args:
         job: which.
-        answer: the method; its error becomes an answer, for one case must not stop the others.
-        failed: what such an answer holds besides.
+        answer: the method; its error becomes an answer that names nothing, for one case must not
+            stop the others.
     """
     import torch
 
     torch.set_num_threads(1)
     begin = time.process_time()
-    failed = failed or {}
+    nothing: dict[str, Any] = {"which": []}
     try:
         with limited(job.limit):
             answered = answer()
     except OutOfTime:
-        answered = {"status": LATE, **failed, "error": f"more than {job.limit:g} CPU s"}
+        answered = {"status": LATE, **nothing, "error": f"more than {job.limit:g} CPU s"}
     except TorchidError as error:
-        answered = {"status": REFUSED, **failed, "error": str(error)}
+        answered = {"status": REFUSED, **nothing, "error": str(error)}
     except Exception as error:
-        answered = {"status": ERROR, **failed, "error": f"{type(error).__name__}: {error}"}
+        answered = {"status": ERROR, **nothing, "error": f"{type(error).__name__}: {error}"}
     answered |= {
         "case": job.case,
         "settings": plain(asdict(job.settings)),

@@ -174,7 +174,7 @@ def scaled(
         loads: torque that the gears transmit (T, n) [N m], one a path.
         warm: for how long the arm had moved before [s].
         size: RMS that is left, of each joint's RMS torque [1].
-    """  # fmt: skip
+    """
     moving = np.abs(np.concatenate([p.dq[::_EVERY] for p in paths])) > 2 * _CREEP
     q = np.concatenate([p.q[::_EVERY] for p in paths])
     pairs = zip(q.T, pull_of(b.waves, q).T, strict=True)

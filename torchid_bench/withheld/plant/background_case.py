@@ -33,7 +33,7 @@ from torchid_bench.withheld.plant.catalogue import (
     kind_named,
 )
 from torchid_bench.withheld.plant.draw import EXCLUSIVE, BackgroundSpec
-from torchid_bench.withheld.plant.logger import Logger, logged
+from torchid_bench.withheld.plant.logger import FINEST, Logger, logged
 from torchid_bench.withheld.plant.model import plant_of
 from torchid_bench.withheld.plant.plan import EffectSpec, Plan, Scene, Signals
 from torchid_bench.withheld.plant.recorded import STYLES, Recorded, recorded
@@ -158,11 +158,11 @@ def of_background(
     earlier = None
     if spec.earlier:
         # Of an arm whose friction is what the file knows of it.
-        more = plan.known_damping - known[0], plan.known_friction - known[1]
+        wet, dry = _known_beside(plan, healthy)
         plant = replace(
             healthy.plant,
-            damping=healthy.plant.damping + more[0],
-            friction=healthy.plant.friction + more[1],
+            damping=healthy.plant.damping + wet,
+            friction=healthy.plant.friction + dry,
         )
         described = replace(healthy, plant=plant)
         earlier = write(before.of(healthy, small.lengths), described, 1)[0]
@@ -216,19 +216,23 @@ def _sizes(
 
     def size(scale: float) -> Array:
         plan, _ = with_effect(scene, healthy, effect, scale)
+        wet, dry = _known_beside(plan, healthy)
         parts = []
         for path, own in zip(paths, bare, strict=True):
             tau = read(plan, path, torque_along(plan, path, (healthy, own))).tau
             tau = with_held_torque(tau, path.t, plan.held, path.number)
-            more = plan.known_damping - healthy.known_damping
-            dry = plan.known_friction - healthy.known_friction
-            parts.append(tau - own - more * path.dq - dry * path.bent)
+            parts.append(tau - own - wet * path.dq - dry * path.bent)
         change = np.abs(together(parts, paths[0].step))
         there = change > (_ACTS * change.max() if comes_and_goes else -1.0)
         mean = (change**2 * there).sum(0) / np.maximum(there.sum(0), 1)
         return np.asarray(np.sqrt(mean) / scene.torque)
 
     return size
+
+
+def _known_beside(plan: Plan, healthy: Plan) -> tuple[Array, Array]:
+    """Viscous and dry friction (n,) that is known of a plan beside what is of the healthy arm's."""
+    return plan.known_damping - healthy.known_damping, plan.known_friction - healthy.known_friction
 
 
 def read(plan: Plan, path: Path, tau: Array) -> Signals:
@@ -241,7 +245,7 @@ def _logger(rng: Rng, *, ideal: bool) -> Logger:
     bits = int(rng.integers(14, 19, endpoint=True))
     return Logger(
         rate_hz=int(rng.choice((125, 250, 500))),
-        encoder_bits=48 if ideal else bits,
+        encoder_bits=FINEST if ideal else bits,
         colour_hz=float(rng.uniform(5.0, 30.0)),
         jitter=0.0 if ideal else float(rng.choice((0.0, 0.02, 0.05))),
         own_velocity=True,
@@ -275,9 +279,11 @@ def _writing(
             late = [np.interp(t - s, t, x) for s, x in zip(small.late, seen.tau.T, strict=True)]
             # The drive's speed: a filtered difference of what the encoder counts.
             counts = np.round(seen.q / tick) * tick
-            speed = np.gradient(counts, STEP, axis=0) if ideal else np.diff(
-                counts, axis=0, prepend=counts[:1]) / STEP  # fmt: skip
-            speed = speed if ideal else sosfilt(filtering, speed, axis=0)
+            if ideal:
+                speed = np.gradient(counts, STEP, axis=0)
+            else:
+                steps = np.diff(counts, axis=0, prepend=counts[:1])
+                speed = sosfilt(filtering, steps / STEP, axis=0)
             seen = replace(seen, dq=speed, tau=np.stack(late, 1) * (1 + small.gain))
             own = replace(logger, seed=logger.seed + 10 * path.number + number)
             held = replace(plan, held=tuple(

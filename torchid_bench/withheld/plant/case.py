@@ -16,7 +16,7 @@ from torchid_bench.withheld.plant.draw import (
     TorqueSpec,
     draw_case,
 )
-from torchid_bench.withheld.plant.logger import logged
+from torchid_bench.withheld.plant.logger import FINEST, logged
 from torchid_bench.withheld.plant.model import plant_of
 from torchid_bench.withheld.plant.plan import Plan, Scene
 from torchid_bench.withheld.plant.scene import (
@@ -52,9 +52,6 @@ FINE = 2.5e-4
 
 MOVED = 0.1
 """Share of the largest change of a joint's positions from which on a joint feels an effect."""
-
-_FINEST = 48
-"""Bits of an encoder that rounds nothing."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +186,7 @@ def _of_torques(spec: TorqueSpec, *, ideal: bool) -> SimulatedCase:
     ]
     logger, noise = spec.logger, scene.noise
     if ideal:
-        logger = replace(logger, encoder_bits=_FINEST, velocity_noise=0.0, jitter=0.0)
+        logger = replace(logger, encoder_bits=FINEST, velocity_noise=0.0, jitter=0.0)
         noise = 0.0 * noise
     columns = logged(logger, plan, readings(plan, traces), noise)
     key = _key(spec, scene, plan, effects, rms(left))

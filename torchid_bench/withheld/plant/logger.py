@@ -10,6 +10,9 @@ from torchid_bench.withheld.plant.bodies import Array
 from torchid_bench.withheld.plant.plan import Plan, Signals
 from torchid_bench.withheld.plant.sensing import with_held_torque
 
+FINEST = 48
+"""Bits of an encoder that rounds nothing."""
+
 
 @dataclass(frozen=True)
 class Logger:
