@@ -93,6 +93,8 @@ class Term:
         shown: whether it shows as much as is worth a name.
         since: beside an earlier log, `in both` of what acts in that one as well and `new` of what
             does not; else empty.
+        before: (C, N) or (C, n, N) of what is new, what its columns would be on the earlier log;
+            None of all else.
         serial: of its own, by which its products with others are kept.
     """
 
@@ -112,6 +114,7 @@ class Term:
     extra: float = 0.0
     shown: bool = False
     since: When | Literal[""] = ""
+    before: np.ndarray | None = None
     serial: int = field(init=False, default_factory=itertools.count().__next__)
 
     @property

@@ -134,4 +134,6 @@ class TwoLogs(Library):
 
     def _zeroed(self, term: Term) -> Term:
         """A term, zero on the earlier log if it is new."""
-        return replace(term, columns=term.columns * self.asked) if term.since == NEW else term
+        if term.since != NEW:
+            return term
+        return replace(term, columns=term.columns * self.asked, before=term.columns)

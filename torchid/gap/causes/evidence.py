@@ -25,7 +25,9 @@ import numpy as np
 import torch
 from scipy.linalg import solve_triangular
 
+from torchid.design.columns import Place
 from torchid.gap.causes.candidates import Library, Term
+from torchid.gap.causes.clusters import Clusters
 from torchid.gap.wanted import BASE
 from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.statistics.criteria import WRONG_FILE
@@ -39,6 +41,10 @@ KEPT = 64
 
 DIFFERENT = 1e-12
 """Share of the squares left from which on two explanations make another torque: rounding."""
+
+
+import os
+MOTIONS = float(os.environ.get("TM", "1.5"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +110,7 @@ class Evidence:
         self._sets: dict[tuple[int, ...], Slabs] = {}
         self._left: dict[int, tuple[Fit, np.ndarray]] = {}
         self._slow: dict[int, torch.Tensor] = {}
+        self.clusters = Clusters(library)
         self.refresh()
 
     def refresh(self) -> None:
@@ -276,8 +283,37 @@ class Evidence:
         a, b = apart**2, noise**2
         loud = (a * b).sum(1) * self.rows / np.maximum(a.sum(1) * b.sum(1), 1e-300)
         times = np.maximum(time_of(both).numpy(), 1.0) * np.maximum(loud, 1.0)
+        times = self._beside_misfit(one, other, apart, noise, times)
         # Where the two make the same torque no sample tells anything, and all may count.
         return np.where(a.sum(1) > DIFFERENT * b.sum(1), self.rows / times, self.rows)
+
+    def _beside_misfit(
+        self, one: Fit, other: Fit, apart: np.ndarray, noise: np.ndarray, times: np.ndarray
+    ) -> np.ndarray:
+        """Samples (n,) of which one tells as much as an independent one, where windows of the logs
+        differ by more than samples that are so long alike."""
+        parts = [(one, other, 1.0), (other, one, -1.0)]
+        there = {t.serial for t in one.terms} & {t.serial for t in other.terms}
+        if any(t.shown and t.serial not in there for f in (one, other) for t in f.terms):
+            return times
+        earlier, new = np.zeros_like(apart), False
+        for fit, _, sign in parts:
+            for t, x in zip(fit.terms, fit.values(), strict=True):
+                if t.serial not in there and t.before is not None:
+                    new = True
+                    self._add(earlier, t.place, sign * np.tensordot(x, t.before, 1))
+        if not new:
+            return np.maximum(times, self.clusters.same(apart, noise))
+        asked = self.library.asked
+        between = MOTIONS * self.clusters.new(np.where(asked, apart, earlier), noise)
+        return times + np.maximum(between - times, 0.0) * self.clusters.both
+
+    @staticmethod
+    def _add(torque: np.ndarray, place: Place, part: np.ndarray) -> None:
+        if place is None:
+            torque += part
+        else:
+            torque[place] += part
 
     def _total(self, fit: Fit) -> float:
         return float((self.rows * np.log(fit.losses)).sum())

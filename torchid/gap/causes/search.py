@@ -247,12 +247,20 @@ class Search:
     def likely(self, fit: Fit, without: frozenset[object] = frozenset()) -> list[Term]:
         """Candidates beside a fit that are looked at closely: the most likely if all samples are
         independent, and if as many are as in noise like what is left."""
-        ranked = [
-            self.screen.best(fit, samples, TRIED, without | self.impossible)
-            for samples in (self.library.rows, self.evidence.independent(fit))
-        ]
-        found = {t.serial: t for some in ranked for _, t in some}
+        found = {t.serial: t for _, t in self.gains(fit, without)}
         return [found[serial] for serial in sorted(found)]
+
+    def gains(self, fit: Fit, without: frozenset[object] = frozenset()) -> list[tuple[float, Term]]:
+        """Candidates that are looked at closely, and by how much they raise the evidence to first
+        order in noise like what is left."""
+        slow, ranks = self.evidence.independent(fit), list[tuple[float, Term]]()
+        ranks = self.screen.best(fit, slow, TRIED, without | self.impossible)
+        there = {t.serial for _, t in ranks}
+        share = float((slow / self.library.rows).max())
+        if share < 1:
+            more = self.screen.best(fit, self.library.rows, TRIED, without | self.impossible)
+            ranks += [(gain * share, t) for gain, t in more if t.serial not in there]
+        return ranks
 
     def _take(self, fit: Fit) -> Fit:
         """The fit that the search goes on from."""
@@ -377,12 +385,16 @@ class Search:
     def _exchanged(self, fit: Fit) -> list[Fit]:
         """Fits with one term for another: the likeliest with the samples at hand, and none that
         makes the same torque with as many coefficients."""
-        every = list[tuple[float, Fit, Fit, bool]]()
+        every, pairs = list[tuple[float, Fit, Fit, bool]](), list[tuple[float, Fit, Term, Term]]()
         for t in fit.terms:
             base = self.without(fit, t)
-            for other in (u for u in self.likely(base) if u is not t):
-                then = self.beside(base.terms, other, fit.samples)
-                every.append((self.evidence.value(then), then, base, other.count >= t.count))
+            there, least = self.evidence.value(base), frozenset([t.key])
+            pairs += [(there + gain, base, t, u) for gain, u in self.gains(base, least)]
+        # First order says which are worth a fit.
+        pairs.sort(key=lambda pair: -pair[0])
+        for _, base, t, other in pairs[: 2 * EXCHANGED]:
+            then = self.beside(base.terms, other, fit.samples)
+            every.append((self.evidence.value(then), then, base, other.count >= t.count))
         values = sorted((value for value, *_ in every), reverse=True)
         least = values[EXCHANGED - 1] if len(values) > EXCHANGED else -np.inf
         return [
