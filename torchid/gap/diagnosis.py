@@ -239,6 +239,8 @@ class TorqueDiagnosis(Diagnosis):
         small: effects that are there and below what was asked for.
         suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known of the model before, and what this log adds.
+        unexplained, negligible: what is left on the worst joint, on data it was not fitted on, that
+            is unexplained, or more than noise may be; empty where nothing is.
         doubt: what speaks against the log, which the headline says first.
         since: the earlier log that causes are held against; absent without one.
         stopped_after: when the search was stopped for want of time; absent of a whole one.
@@ -268,6 +270,8 @@ class TorqueDiagnosis(Diagnosis):
     small: tuple[Cause, ...] = ()
     suspects: tuple[Cause, ...] = ()
     knowledge: Known | None = None
+    unexplained: str = ""
+    negligible: str = ""
     doubt: str = ""
     since: str | UnsetType = UNSET
     stopped_after: Stopped | UnsetType = UNSET
@@ -361,6 +365,7 @@ class TorqueDiagnosis(Diagnosis):
             suspects=self.suspects,
             small=self.small,
             reason=self._reason,
+            unexplained=self.unexplained or UNSET,
             doubt=self.doubt or UNSET,
             since=self.since,
             stopped=UNSET if self.stopped_after is UNSET else True,
@@ -374,6 +379,8 @@ class TorqueDiagnosis(Diagnosis):
         if self.since:
             return f"Nothing is new since {self.since}."
         hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
+        if self.status == "negligible" and not self.small:
+            return f"At most {self.negligible}."
         if self.status == "negligible":
             small = (f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small)
             return f"Small: {listed(small, most=2)}."
