@@ -78,7 +78,7 @@ class Left:
 
     def explained_by_none(self, robot: Robot) -> str:
         """`1.09 N m on joint 3, 25 times the least noise`, of what is unexplained where that is
-        most of the torque; empty where nothing is."""
+        most; empty where nothing is."""
         noise = "the noise" if self.measured else "the least noise"
         return self._worst(
             self.unexplained,
@@ -98,11 +98,11 @@ class Left:
         return self._worst(self.beyond, robot, beside)
 
     def _worst(self, among: Bool[Tensor, " n"], robot: Robot, beside: Callable[[int], str]) -> str:
-        """What is left on the joint of some that misses most of its torque, and what stands beside
-        it; empty of none."""
+        """What is left on the joint of some where that is most, and what stands beside it; empty of
+        none."""
         if not among.any():
             return ""
-        j = int(torch.where(among, self.rms / self.torque, -1.0).argmax())
+        j = int(torch.where(among, self.rms, -1.0).argmax())
         return f"{digits(float(self.rms[j]))} {joint_unit(robot, j)} on joint {j + 1}, {beside(j)}"
 
 
