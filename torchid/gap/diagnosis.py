@@ -380,7 +380,7 @@ class TorqueDiagnosis(Diagnosis):
             return f"Nothing is new since {self.since}."
         hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
         if self.status == "negligible" and not self.small:
-            return f"At most {self.negligible}."
+            return f"More than noise may be, at most: {self.negligible}."
         if self.status == "negligible":
             small = (f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small)
             return f"Small: {listed(small, most=2)}."
