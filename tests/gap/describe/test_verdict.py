@@ -64,10 +64,10 @@ def test_noise_small_and_unexplained_are_told_apart(times, torque, source, struc
     of = replace(of, shown=[replace(t, before=t.measured) for t in more])
     left = Left.of(of, NOTHING)
     assert status(of, left) == said
-    words = left.explained_by_none(ARM)
-    assert bool(words) == (said == "detected_unexplained")
-    if said == "negligible":
-        assert left.negligible(ARM).endswith(" N m on joint 2, 2 % of its torque")
+    words = left.words(ARM)
+    assert words.endswith("noise") == (said == "detected_unexplained")
+    assert words.endswith(" N m on joint 2, 2 % of its torque") == (said == "negligible")
+    assert bool(words) == (said != "no_gap")
 
 
 def test_as_much_as_the_model_left_before_is_unexplained_no_more():
@@ -75,7 +75,7 @@ def test_as_much_as_the_model_left_before_is_unexplained_no_more():
     of = checked(10.0)
     left = Left.of(of, of.far.rms_after)
     assert status(of, left) == "negligible"
-    assert left.negligible(ARM).endswith("as much as the model left on its own log")
+    assert left.words(ARM).endswith("as much as the model left on its own log")
 
 
 def spring(motion: Log) -> Tensor:

@@ -4,7 +4,7 @@ What is left of a joint's torque is held against its noise where repeats measure
 three things are told apart: what may be noise, what is small, and what is unexplained.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -76,34 +76,21 @@ class Left:
         large = rms > SMALL_ERROR * torque
         return cls(rms, torque, bound, measured, beyond, beyond & large & worth)
 
-    def explained_by_none(self, robot: Robot) -> str:
+    def words(self, robot: Robot) -> str:
         """`1.09 N m on joint 3, 25 times the least noise`, of what is unexplained where that is
-        most; empty where nothing is."""
-        noise = "the noise" if self.measured else "the least noise"
-        return self._worst(
-            self.unexplained,
-            robot,
-            lambda j: f"{digits(float(self.rms[j] / self.noise[j]), 2)} times {noise}",
-        )
-
-    def negligible(self, robot: Robot) -> str:
-        """`0.06 N m on joint 2, 2 % of its torque`, of what is more than noise may be; empty where
-        nothing is."""
-
-        def beside(j: int) -> str:
-            share = float(self.rms[j] / self.torque[j])
-            as_before = "" if share < SMALL_ERROR else ", as much as the model left on its own log"
-            return f"{percent(share)} of its torque{as_before}"
-
-        return self._worst(self.beyond, robot, beside)
-
-    def _worst(self, among: Bool[Tensor, " n"], robot: Robot, beside: Callable[[int], str]) -> str:
-        """What is left on the joint of some where that is most, and what stands beside it; empty of
-        none."""
+        most; where nothing is, of what is more than noise may be, with its share of the torque;
+        empty where all may be noise."""
+        among = self.unexplained if self.unexplained.any() else self.beyond
         if not among.any():
             return ""
         j = int(torch.where(among, self.rms, -1.0).argmax())
-        return f"{digits(float(self.rms[j]))} {joint_unit(robot, j)} on joint {j + 1}, {beside(j)}"
+        times, share = float(self.rms[j] / self.noise[j]), float(self.rms[j] / self.torque[j])
+        beside = f"{digits(times, 2)} times the {'' if self.measured else 'least '}noise"
+        if not self.unexplained[j]:
+            beside = f"{percent(share)} of its torque"
+            # It is not worth a name, however large, where a saved model left as much before.
+            beside += ", as much as the model left on its own log" * (share > SMALL_ERROR)
+        return f"{digits(float(self.rms[j]))} {joint_unit(robot, j)} on joint {j + 1}, {beside}"
 
 
 def status_of(
@@ -179,7 +166,7 @@ def warnings_of(
         out.append(f"Next time: {_what_bounds_noise(problem)}")
     if causes and left.unexplained.any():
         least = "" if left.measured else f" and more than {percent(SMALL_ERROR)} of its torque"
-        out.append(f"Caution: unexplained is {left.explained_by_none(problem.robot)}{least}.")
+        out.append(f"Caution: unexplained is {left.words(problem.robot)}{least}.")
     if len(found.terms) >= settings.max_effects:
         out.append(
             f"Caution: stopped at {settings.max_effects} effects; there may be more "
