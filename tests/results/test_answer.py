@@ -140,12 +140,16 @@ def test_what_is_unexplained_is_said_with_its_size_and_what_to_record(measured):
 
 
 @pytest.mark.parametrize(
-    ("status", "words"),
-    [("no_gap", "that this log can tell from noise"), ("negligible", "that matters")],
+    ("status", "more", "words"),
+    [
+        ("no_gap", {}, "that this log can tell from noise"),
+        ("negligible", {}, "that matters"),
+        ("negligible", {"since": "a.csv"}, "that is new"),
+    ],
 )
-def test_what_is_small_is_not_called_noise(status, words):
+def test_what_is_small_is_not_called_noise(status, more, words):
     said = answer(
-        status=status, causes=(), noise=(0.04, math.nan), reason="At most 1 N m."
+        status=status, causes=(), noise=(0.04, math.nan), reason="At most 1 N m.", **more
     ).headline
     assert said == f"No gap {words}: 10 N m (noise >= 0.04). At most 1 N m."
 

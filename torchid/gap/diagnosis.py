@@ -376,7 +376,8 @@ class TorqueDiagnosis(Diagnosis):
         if self.causes:
             return ""
         if self.since:
-            return f"Nothing is new since {self.since}."
+            left = f": {self.remainder}" if self.status == "negligible" and self.remainder else ""
+            return f"Nothing is new since {self.since}{left}."
         hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
         if self.status == "negligible":
             small = [f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small]

@@ -313,7 +313,8 @@ class Answer(Part, frozen=True, kw_only=True):
     def _without_cause(self) -> str:
         """Why nothing is named."""
         size, noise = self.before.size, span(self.noise)
-        none = {"no_gap": "beyond noise", "negligible": "that matters"}
+        small = "that is new" if self.since else "that matters"
+        none = {"no_gap": "beyond noise", "negligible": small}
         if math.isnan(self.noise[1]):  # noise may be all of it, and need not be
             none["no_gap"] = "that this log can tell from noise"
         said = {k: f"No gap {words}: {size} (noise {noise})." for k, words in none.items()}
