@@ -1,6 +1,7 @@
 """What an answer states is what its errors say."""
 
 import json
+import math
 from pathlib import Path
 
 import msgspec
@@ -126,6 +127,31 @@ def test_a_gap_is_largest_where_it_is_most_beyond_noise(high, joint):
     )
     said = answer(status="detected_unexplained", causes=(), joints=joints).headline
     assert said.endswith(f"It is largest on joint {joint}.")
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_what_is_unexplained_is_said_with_its_size_and_what_to_record(measured):
+    said = answer(
+        status="detected_unexplained", causes=(), noise_measured=measured, noise=(0.04, math.nan),
+        unexplained="1.09 N m on joint 3, 25 times the least noise",
+    ).headline  # fmt: skip
+    end = "." if measured else "; record one motion twice."
+    assert said == (f"No known effect explains 1.09 N m on joint 3, 25 times the least noise{end}")
+
+
+@pytest.mark.parametrize(
+    ("status", "more", "words"),
+    [
+        ("no_gap", {}, "that this log can tell from noise"),
+        ("negligible", {}, "that matters"),
+        ("negligible", {"since": "a.csv"}, "that is new"),
+    ],
+)
+def test_what_is_small_is_not_called_noise(status, more, words):
+    said = answer(
+        status=status, causes=(), noise=(0.04, math.nan), reason="At most 1 N m.", **more
+    ).headline
+    assert said == f"No gap {words}: 10 N m (noise >= 0.04). At most 1 N m."
 
 
 def test_a_change_of_a_link_of_which_the_kind_alone_is_sure_has_the_kinds_name():

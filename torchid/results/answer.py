@@ -182,6 +182,9 @@ class Answer(Part, frozen=True, kw_only=True):
             settle them.
         small: causes that are sure and remove less than was asked for.
         reason: why nothing is named, where that is so.
+        unexplained: what is left on the worst joint that no cause and no noise explains: without
+            repeats more than 3 % of its torque, and three times the least noise; absent where there
+            is none.
         doubt: what speaks against the log, said first; absent where nothing does.
         since: the earlier log that causes are held against; absent without one.
         stopped: whether most causes were not looked for, for want of time; absent of a whole one.
@@ -205,6 +208,7 @@ class Answer(Part, frozen=True, kw_only=True):
     suspects: tuple[Cause, ...] = ()
     small: tuple[Cause, ...] = ()
     reason: str = ""
+    unexplained: str | UnsetType = UNSET
     doubt: str | UnsetType = UNSET
     since: str | UnsetType = UNSET
     stopped: bool | UnsetType = UNSET
@@ -309,9 +313,10 @@ class Answer(Part, frozen=True, kw_only=True):
     def _without_cause(self) -> str:
         """Why nothing is named."""
         size, noise = self.before.size, span(self.noise)
-        none = {"no_gap": "beyond noise", "negligible": "that matters"}
+        small = "that is new" if self.since else "that matters"
+        none = {"no_gap": "beyond noise", "negligible": small}
         if math.isnan(self.noise[1]):  # noise may be all of it, and need not be
-            none = dict.fromkeys(none, "that this log can tell from noise")
+            none["no_gap"] = "that this log can tell from noise"
         said = {k: f"No gap {words}: {size} (noise {noise})." for k, words in none.items()}
         said["not_testable"] = "This log cannot show what causes a gap:"
         worst = max(self.joints, key=lambda j: j.beyond_noise)
@@ -319,8 +324,12 @@ class Answer(Part, frozen=True, kw_only=True):
         gap = f"No known effect explains {self.error} of {size}"
         if self.stopped is not UNSET:
             gap = f"Most causes of {self.error} of {size} were not looked for in the time"
-        gap += "." if self.doubt else f" (noise {noise})."
-        gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
+        if self.unexplained and not (self.doubt or self.stopped):
+            gap = f"No known effect explains {self.unexplained}"
+            gap += "." if self.noise_measured else "; record one motion twice."
+        else:
+            gap += "." if self.doubt else f" (noise {noise})."
+            gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
         text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
         if self.suspects and self.status in ("detected_unexplained", "not_testable"):
             why = "No cause is sure." if self.status == "detected_unexplained" else text
