@@ -172,16 +172,24 @@ class Evidence:
         if key not in self._sets:
             if len(self._sets) >= KEPT:
                 del self._sets[next(iter(self._sets))]
-            self._sets[key] = self._assembled(terms)
+            # Most sets are another one and a term.
+            before = self._sets.get(key[:-1]) if key else None
+            self._sets[key] = self._assembled(terms, before)
         return self._sets[key]
 
-    def _assembled(self, terms: Sequence[Term]) -> Slabs:
+    def _assembled(self, terms: Sequence[Term], before: Slabs | None = None) -> Slabs:
+        """Of terms, all but the last of which are in `before`."""
         ends = np.cumsum([0, *(t.count for t in terms)])
         at = [slice(a, b) for a, b in pairwise(ends)]
         g, spread = np.zeros((self.n, ends[-1] + 1, ends[-1] + 1)), np.zeros((ends[-1], ends[-1]))
         g[:, -1, -1] = (self.gap**2).sum(1)
-        own = np.zeros((3, ends[-1]))
-        for i, one in enumerate(terms):
+        own, first = np.zeros((3, ends[-1])), 0
+        if before is not None:
+            first, old = len(terms) - 1, ends[-2]
+            g[:, :old, :old], spread[:old, :old] = before.normal[:, :-1, :-1], before.spread
+            g[:, :old, -1] = g[:, -1, :old] = before.normal[:, :-1, -1]
+            own[:, :old] = before.middle, before.low, before.high
+        for i, one in enumerate(terms[first:], first):
             g[:, at[i], -1] = g[:, -1, at[i]] = self._target(one)
             spread[at[i], at[i]], own[1, at[i]], own[2, at[i]] = one.spread, one.low, one.high
             if one.centre.any():

@@ -44,8 +44,9 @@ one, which the library has first, is taken."""
 STEP = 0.5
 """Rise of the evidence from which a step is taken [nats]."""
 
-SWAPS, EXCHANGED = 20, 20
-"""Exchanges at most, one after the other, and how many are compared in a step."""
+SWAPS, FITTED, EXCHANGED = 20, 60, 20
+"""Exchanges at most, one after the other; how many are fitted in a step, and how many of these are
+compared."""
 
 LEVELS = 3
 """Times that a shape is refined, each time three times more closely."""
@@ -119,7 +120,7 @@ class Search:
         self.evidence = Evidence(library)
         self.screen = Screen(self.evidence)
         self.watch = watch or (lambda search, fit: None)
-        self.visited: set[frozenset[int]] = set()
+        self.visited: set[frozenset[object]] = set()
         self.impossible: set[object] = set()
         self._rises: dict[tuple[Fit, Fit], float] = {}
         self._secants: dict[tuple[int, float], Term | None] = {}
@@ -247,24 +248,16 @@ class Search:
     def likely(self, fit: Fit, without: frozenset[object] = frozenset()) -> list[Term]:
         """Candidates beside a fit that are looked at closely: the most likely if all samples are
         independent, and if as many are as in noise like what is left."""
-        found = {t.serial: t for _, t in self.gains(fit, without)}
+        ranked = [
+            self.screen.best(fit, samples, TRIED, without | self.impossible)
+            for samples in (self.library.rows, self.evidence.independent(fit))
+        ]
+        found = {t.serial: t for some in ranked for _, t in some}
         return [found[serial] for serial in sorted(found)]
-
-    def gains(self, fit: Fit, without: frozenset[object] = frozenset()) -> list[tuple[float, Term]]:
-        """Candidates that are looked at closely, and by how much they raise the evidence to first
-        order in noise like what is left."""
-        slow, ranks = self.evidence.independent(fit), list[tuple[float, Term]]()
-        ranks = self.screen.best(fit, slow, TRIED, without | self.impossible)
-        there = {t.serial for _, t in ranks}
-        share = float((slow / self.library.rows).max())
-        if share < 1:
-            more = self.screen.best(fit, self.library.rows, TRIED, without | self.impossible)
-            ranks += [(gain * share, t) for gain, t in more if t.serial not in there]
-        return ranks
 
     def _take(self, fit: Fit) -> Fit:
         """The fit that the search goes on from."""
-        self.visited.add(frozenset(t.serial for t in fit.terms))
+        self.visited.add(frozenset(t.key for t in fit.terms))
         self._rises.clear()
         self.pace.scale(JUDGED, (1 + len(fit.terms)) / USUAL)
         self.pace.tell()
@@ -282,7 +275,7 @@ class Search:
         visited."""
         best: tuple[float, Fit] | None = None
         for fit in fits:
-            if frozenset(t.serial for t in fit.terms) in self.visited:
+            if frozenset(t.key for t in fit.terms) in self.visited:
                 continue
             rise = self._rise(fit, now)
             # Of what makes the same torque in this log the first of the library is taken.
@@ -385,14 +378,16 @@ class Search:
     def _exchanged(self, fit: Fit) -> list[Fit]:
         """Fits with one term for another: the likeliest with the samples at hand, and none that
         makes the same torque with as many coefficients."""
-        every, pairs = list[tuple[float, Fit, Fit, bool]](), list[tuple[float, Fit, Term, Term]]()
+        every, tried = list[tuple[float, Fit, Fit, bool]](), list[tuple[float, Fit, Term, Term]]()
         for t in fit.terms:
             base = self.without(fit, t)
-            there, least = self.evidence.value(base), frozenset([t.key])
-            pairs += [(there + gain, base, t, u) for gain, u in self.gains(base, least)]
-        # First order says which are worth a fit.
-        pairs.sort(key=lambda pair: -pair[0])
-        for _, base, t, other in pairs[: 2 * EXCHANGED]:
+            # To first order, in noise as it is with all of them: rises are of one scale then.
+            samples = fit.samples * base.losses / fit.losses
+            ranked = self.screen.best(base, samples, 2 * TRIED, frozenset(self.impossible))
+            own = next((gain for gain, u in ranked if u.key == t.key), 0.0)
+            tried += [(gain - own, base, t, u) for gain, u in ranked if u is not t]
+        tried.sort(key=lambda one: -one[0])
+        for _, base, t, other in tried[:FITTED]:
             then = self.beside(base.terms, other, fit.samples)
             every.append((self.evidence.value(then), then, base, other.count >= t.count))
         values = sorted((value for value, *_ in every), reverse=True)
