@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 from torchid.design.columns import Model
@@ -26,7 +27,7 @@ def effect_cause(
     given: Model,
     corrected: Model,
     main: int,
-    shapes: Mapping[str, float],
+    shapes: Mapping[str, float] = MappingProxyType({}),
     **more: Any,
 ) -> Cause:
     """An effect as a cause.

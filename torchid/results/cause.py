@@ -29,7 +29,6 @@ from torchid.results.words import (
     sure,
     unit_behind,
     unit_words,
-    value_words,
 )
 from torchid.results.words import LINK as LINK  # asked by all that tell of causes
 from torchid.statistics.criteria import LIKELY

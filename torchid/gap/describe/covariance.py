@@ -24,8 +24,7 @@ def covariance_of(solution: Solution) -> Covariance | None:
     for k, shape in enumerate(solution.shapes, len(solution.a)):
         if shape.effect.name not in EVENTS:
             lasting.append(k)
-            name = f"{shape.name}{shape.effect.joint + 1}"
-            coefficients.append(Coefficient(effect=shape.effect.name, names=(name,)))
+            coefficients.append(Coefficient(effect=shape.effect.name, names=(shape.known,)))
     matrix = solution.covariance[lasting][:, lasting]
     return Covariance(coefficients=tuple(coefficients), matrix=matrix)
 

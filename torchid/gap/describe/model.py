@@ -18,6 +18,7 @@ import torch
 from torchid.design.bodies import Bodies, Prior, links_near, some_body, together, usual_bodies
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.deflection import Compliance
+from torchid.design.gram import inverse_root
 from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect
 from torchid.effects.registry import KINDS, Valued
@@ -25,6 +26,7 @@ from torchid.gap.causes.candidates import Library, Term, columns_of, excluding
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import Search
 from torchid.gap.data import Data
+from torchid.gap.describe.discrepancy import Discrepancy, body_errors
 from torchid.gap.describe.shapes import FreeShape, free_shapes, shaped
 from torchid.gap.problem import Problem
 from torchid.gap.wanted import BASE, Wanted
@@ -98,6 +100,11 @@ class Part:
         """Whether it corrects the links' own parameters."""
         return self.name in (BASE, LINK)
 
+    @property
+    def links(self) -> list[int]:
+        """Links whose parameters it corrects, one for each of them."""
+        return [] if self.rows is None else (self.rows // PARAMETERS_PER_LINK).tolist()
+
     @cached_property
     def centre(self) -> Float[Tensor, " C"]:
         """Where the coefficients are expected: at what another sensor says, or the model has."""
@@ -125,9 +132,7 @@ class Part:
         every = [columns_of(at, [e])[0] for e in self.effects]
         return sum(x if place is None else on_joint(x, place, at.n) for place, x in every)  # type: ignore[return-value]
 
-    def shapes(
-        self, k: int, values: Float[Tensor, " C"], at: Columns
-    ) -> Iterator[FreeShape]:
+    def shapes(self, k: int, values: Float[Tensor, " C"], at: Columns) -> Iterator[FreeShape]:
         """Its free shapes as the k-th part: of a cause on one joint, unless it is a change of what
         the model has of the same shape."""
         effect = self.effects[0] if len(self.effects) == 1 and self.term is not None else None
@@ -357,7 +362,9 @@ def solve(problem: Problem, search: Search, fit: Fit, steps: int = STEPS) -> Sol
         own = parts[k].instead
         values[k] = torch.from_numpy(x) + (0.0 if own is None else torch.tensor(own[1]).double())
     samples = torch.from_numpy(fit.samples)
-    return solve_parts(problem.given, parts, values, problem.data, problem.block, samples, steps)
+    return solve_parts(
+        problem.given, parts, values, problem.data, problem.block, samples, steps, problem.as_cad
+    )
 
 
 def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:
@@ -384,6 +391,7 @@ def solve_parts(
     block: Int[Tensor, " N"],
     effective: Float[Tensor, " n"] | None = None,
     steps: int = STEPS,
+    as_cad: bool = False,
 ) -> Solution:
     """Fit parts together, from coefficients near the solution.
 
@@ -396,13 +404,15 @@ def solve_parts(
         effective: (n,) independent samples, beside which counts what is known beforehand; as many
             as there are if None.
         steps: of Gauss and Newton at most; without any the coefficients are those given.
+        as_cad: whether nobody vouches for the bodies' parameters.
     """
     start, prior = columns.model, prior_of(parts)
     rows = data.keep.sum(1).clamp(min=1).double()
     share = torch.ones_like(rows) if effective is None else (effective / rows).clamp(max=1.0)
     taken, values, none = list(parts), list(x), torch.zeros(0, dtype=torch.float64)
     best: Solution | None = None
-    weight, last, change = torch.ones_like(data.keep, dtype=torch.float64), torch.inf, _Step(none, none)
+    change, last = _Step(none, none), torch.inf
+    weight = torch.ones_like(data.keep, dtype=torch.float64)
     for step in range(steps + 1):
         # The corrected model at the estimate, and what it leaves.
         taken = [p.at_estimate(v) for p, v in zip(taken, values, strict=True)]
@@ -441,7 +451,12 @@ def solve_parts(
                 break
         taken, values = change.of(best)
     assert best is not None
-    return _with_deviations(best, data, block, prior, weight, steps > 0) if len(best.a) else best
+    if not len(best.a):
+        return best
+    bodies = best.a[:0]
+    if as_cad and all(p.name != BASE for p in taken):
+        bodies = body_errors(columns, {k for p in taken if p.inertial for k in p.links}) * data.keep
+    return _with_deviations(best, data, block, prior, weight, steps > 0, bodies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -506,9 +521,10 @@ def _with_deviations(
     prior: Prior,
     weight: Float[Tensor, "n N"],
     fitted: bool,
+    bodies: Float[Tensor, "F n N"],
 ) -> Solution:
     """A solution with the covariance of its coefficients; rows count by their weights. Only a load
-    that was fitted is held against any ten numbers."""
+    that was fitted is held against any ten numbers; errors of `bodies` are part of what is left."""
     # Standard deviations from the spread of whole blocks of samples, all joints together, and from
     # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
     # in units of what an independent sample leaves.
@@ -518,12 +534,14 @@ def _with_deviations(
     gram = flat @ flat.T
     right = flat @ (best.left * weight).flatten() + gram @ whole
     loose = _loose(best, gram, right) if fitted else None
-    before = [s.std**-2 for s in best.shapes]
+    before = every.new_tensor([s.std**-2 for s in best.shapes])
+    known = torch.block_diag(prior.squares, torch.diag(before))
+    root, left = inverse_root(every @ every.T + known, known=known), (best.left * weight).flatten()
+    wrong = Discrepancy.of(every, left, (bodies * weight).flatten(1), root @ root.T)
     found = fit_statistics(
-        every.T, (best.left * weight).flatten(), block.repeat(len(best.left)), variance=1.0,
-        known=torch.block_diag(prior.squares, torch.diag(every.new_tensor(before))),
-    )  # fmt: skip
-    covariance = found.widened()
+        every.T, left - wrong.torque, block.repeat(len(weight)), variance=1.0, known=known
+    )
+    covariance = found.widened() + wrong.covariance
     own = covariance[:k, :k]
     # With another scale of a joint's torque all coefficients of its effects have it, too; those of
     # the whole arm have that of all joints.

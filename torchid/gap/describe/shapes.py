@@ -49,11 +49,16 @@ class FreeShape:
         return float(getattr(self.effect, self.name))
 
     @property
+    def known(self) -> str:
+        """Its name among all of an arm: `vs3`."""
+        places = [s.name for s in self.effect.shapes]
+        return self.effect.shape_names()[places.index(self.name)]
+
+    @property
     def around(self) -> tuple[JointEffect, JointEffect]:
         """The effect with the smaller and the larger shape."""
-        return shaped(self.effect, self.name, self.near[0]), shaped(
-            self.effect, self.name, self.near[1]
-        )
+        low, high = (shaped(self.effect, self.name, x) for x in self.near)
+        return low, high
 
 
 def shaped(effect: JointEffect, name: str, value: float) -> JointEffect:
