@@ -223,7 +223,7 @@ class _Explained:
             signed = [c.non_negative for c in effect.coefficients]
             v[:] = [max(0.0, x) if s else x for x, s in zip(v, signed, strict=True)]
         pairs = zip(self.pairs, shapes, values, strict=True)
-        return tuple((replace(e, **to), v) for (e, _), to, v in pairs)  # type: ignore[arg-type]
+        return tuple((replace(e, **to), v) for (e, _), to, v in pairs)
 
 
 def _are_bodies(pi: Float[Tensor, "*D n 10"], least: Float[Tensor, "n 10"]) -> Bool[Tensor, "*D"]:

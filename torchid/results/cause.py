@@ -338,7 +338,8 @@ class Cause(Part, frozen=True, kw_only=True):
         lines = [
             *(s.named for s in self.sizes if s.determined),
             *(f"{s.name}, not determined" for s in self.sizes if not s.determined),
-            *(Size(x, self.unit[x], self.parameters[x], self.std.get(x)).named for x in shapes),
+            *(Size(x, self.unit[x], float(self.parameters[x]), self.std.get(x)).named  # type: ignore
+              for x in shapes),
         ]  # fmt: skip
         return "\n".join(lines) or "-"
 

@@ -48,6 +48,10 @@ A_BASE_PARAMETER = Coefficient("", "", False, "a base parameter")
 STEPS = 12
 """Gauss-Newton steps at most, of which two to four are the rule: they end by the evidence."""
 
+ROBUST = 2
+"""Times that rows are weighed by what a fit leaves: more would take what one run of several has
+for rows that are far out."""
+
 
 @dataclass(frozen=True, eq=False)
 class Part:
@@ -411,23 +415,23 @@ def solve_parts(
     share = torch.ones_like(rows) if effective is None else (effective / rows).clamp(max=1.0)
     taken, values, none = list(parts), list(x), torch.zeros(0, dtype=torch.float64)
     best: Solution | None = None
-    change, last = _Step(none, none), torch.inf
-    weight = torch.ones_like(data.keep, dtype=torch.float64)
+    change, last, gain, weighed = _Step(none, none), torch.inf, torch.inf, 0
+    far = weight = torch.ones_like(data.keep, dtype=torch.float64)
     for step in range(steps + 1):
         # The corrected model at the estimate, and what it leaves.
         taken = [p.at_estimate(v) for p, v in zip(taken, values, strict=True)]
         at = columns.at(corrected_model(start, taken, values))
         left = at.gap * data.keep
         whole = torch.cat([none, *values])
+        far = far if steps else huber_weights(left)
         # Half of a step that does not lower the loss is taken.
         loss = float((weight * left).square().sum()) + prior.value(whole)
         if best is not None and not loss < last:
             change = change.half
             taken, values = change.of(best)
             continue
-        # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
+        # Every joint in units of what it leaves.
         of_joint = share * rows / left.square().sum(1).clamp(min=1e-300)
-        weight = huber_weights(left) * of_joint.sqrt().unsqueeze(1)
         each = [p.columns(at) for p in taken]
         # Columns at the corrected model, for the next step and for the standard deviations.
         a = torch.cat(each) * data.keep if each else left.new_zeros(0, *left.shape)
@@ -440,15 +444,23 @@ def solve_parts(
         best = Solution(
             start, tuple(taken), tuple(values), (), unknown, at, of_joint, a, left, free
         )
-        if step == steps or not len(a):
-            break
-        change = _gauss_newton(best, prior, weight)
-        # Coefficients to begin with may be none that physics allows: the first step may cost.
-        if step > 0:
-            last = float((weight * left).square().sum()) + prior.value(whole)
-            then = float((weight * (left - change.torque(best))).square().sum())
-            if last - then - prior.value(whole + change.x) < 2 * CONVERGED:
+        while True:
+            weight = far * of_joint.sqrt().unsqueeze(1)
+            if step == steps or not len(a):
                 break
+            change = _gauss_newton(best, prior, weight)
+            now = float((weight * left).square().sum()) + prior.value(whole)
+            then = float((weight * (left - change.torque(best))).square().sum())
+            gain = now - then - prior.value(whole + change.x)
+            # Coefficients to begin with may be none that physics allows: the first step may cost.
+            last, gain = (now, gain) if step else (torch.inf, abs(gain))
+            if gain >= 2 * CONVERGED or weighed == ROBUST:
+                break
+            # Rows far out of a fit of all, at reversals, count as their limit, as told from there:
+            # so it does not matter where it began.
+            far, weighed = huber_weights(left), weighed + 1
+        if gain < 2 * CONVERGED or step == steps or not len(a):
+            break
         taken, values = change.of(best)
     assert best is not None
     if not len(best.a):
