@@ -29,7 +29,6 @@ from torchid.results.words import (
     sure,
     unit_behind,
     unit_words,
-    value_words,
 )
 from torchid.results.words import LINK as LINK  # asked by all that tell of causes
 from torchid.statistics.criteria import LIKELY
@@ -233,7 +232,8 @@ class Cause(Part, frozen=True, kw_only=True):
         probabilities: of each of that set and of it alone, by name, where they are known [1].
         parameters: its numbers on the arm by name: coefficients, shapes and places.
         file: what the robot's file has of the coefficients; empty of an effect that it has not.
-        std: standard deviations of the coefficients; null where the data do not determine one.
+        std: standard deviations of the coefficients, and of shapes that were fitted with them; null
+            where the data do not determine one.
         unit: of coefficients and shapes; `1` of plain numbers.
         shape, places: which of the parameters are shapes, and which places.
         main: the coefficient that makes most of its torque in these logs.
@@ -327,7 +327,8 @@ class Cause(Part, frozen=True, kw_only=True):
         return tuple(
             Size(name, self.unit.get(name, ""), float(value), std, self.file.get(name))
             for name, std in sorted(self.std.items(), key=lambda item: item[0] != self.main)
-            if isinstance(value := self.parameters.get(name), float | int)
+            if name not in self.shape
+            and isinstance(value := self.parameters.get(name), float | int)
         )
 
     @property
@@ -337,7 +338,7 @@ class Cause(Part, frozen=True, kw_only=True):
         lines = [
             *(s.named for s in self.sizes if s.determined),
             *(f"{s.name}, not determined" for s in self.sizes if not s.determined),
-            *(f"{x} = {value_words(self.parameters[x], '.4g')} {unit_behind(self.unit[x])}".rstrip()
+            *(Size(x, self.unit[x], float(self.parameters[x]), self.std.get(x)).named  # type: ignore
               for x in shapes),
         ]  # fmt: skip
         return "\n".join(lines) or "-"
