@@ -20,6 +20,13 @@ WINDOWS = 8
 """Of a log: as few as a variance can be told from, as long as they can be then, for it is what
 differs from one motion to another that is asked, not from one instant to the next."""
 
+DEGREES = 2.0
+"""Windows, less one, whose variance says as much as that samples tell what they seem to [1]."""
+
+MOTIONS = 1.75
+"""Variance between motions over that between windows of one motion [1]: the median, over eleven
+pairs of logs of five healthy arms, of what all of the library seemed to have changed by."""
+
 FELT = 1e-6
 """Share of a torque's squares from which a log shows it [1]."""
 
@@ -39,33 +46,39 @@ class Clusters:
         # A mean over so much of another log differs from one over this log by both variances.
         self.both = 1 + asked / np.maximum(library.keep.sum(1) - asked, 1.0)
 
-    def same(self, torque: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """By how much the variance (n,) of the sum of their products is that of independent
-        samples, for a torque of all logs.
+    def same(self, torque: np.ndarray, left: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """Samples (n,) of which one tells as much of a torque of all logs as an independent one.
 
         Args:
             torque: (n, N) what is asked [N m; N].
             left: (n, N) what is left beside it [N m; N].
+            times: (n,) the same as what is left and the torque are alike in time.
         """
-        sums = np.concatenate([_sums(torque * left, log) for log in self.logs], 1)
-        return _ratio(sums, (torque**2).sum(1), (left**2).sum(1) / self.rows)
+        sums, squares = (
+            np.concatenate([_sums(x, log) for log in self.logs], 1)
+            for x in (torque * left, torque**2)
+        )
+        return _more(sums, squares, self._noise(left), times)
 
-    def new(self, torque: np.ndarray, left: np.ndarray) -> np.ndarray:
-        """The same for a torque of the log that is asked alone: it stands against what differs
-        within either log about its mean there.
+    def new(self, torque: np.ndarray, left: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """The same of a torque of the log that is asked alone: it stands against what differs
+        within either log about its mean there, and so between the two.
 
         Args:
             torque: (n, N), on the earlier log what it would be there [N m; N].
-            left: (n, N) what is left [N m; N].
+            left, times: as above.
         """
-        out, least = np.zeros(len(left)), FELT * (torque**2).sum(1)
+        out, least = times, FELT * (torque**2).sum(1)
         for log in self.logs:
-            own = slice(log[0], log[-1])
-            squares = (torque[:, own] ** 2).sum(1)
-            sums = _sums(torque * left, log)
-            ratio = _ratio(sums - sums.mean(1, keepdims=True), squares, (left**2).sum(1) / self.rows)
-            out = np.maximum(out, np.where(squares > least, ratio, 0.0))
-        return out
+            sums, squares = _sums(torque * left, log), _sums(torque**2, log)
+            whole = np.maximum(squares.sum(1, keepdims=True), 1e-300)
+            sums = sums - squares / whole * sums.sum(1, keepdims=True)
+            more = _more(sums, squares, self._noise(left), times)
+            out = np.where(squares.sum(1) > least, np.maximum(out, more), out)
+        return times + MOTIONS * self.both * (out - times)
+
+    def _noise(self, left: np.ndarray) -> np.ndarray:
+        return (left**2).sum(1) / self.rows
 
 
 def _windows(bounds: Sequence[slice], own: np.ndarray) -> np.ndarray:
@@ -82,8 +95,20 @@ def _sums(x: np.ndarray, windows: np.ndarray) -> np.ndarray:
     return np.add.reduceat(x[:, windows[0] : windows[-1]], windows[:-1] - windows[0], axis=1)
 
 
-def _ratio(sums: np.ndarray, squares: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Variance (n,) from windows' sums (n, W) about zero, over that of independent samples."""
-    count = sums.shape[1]
-    one = max(count - 1, 1) / count  # what is left has no sum with what was fitted to it
-    return (sums**2).sum(1) / one / np.maximum(noise * squares, 1e-300)
+def _more(
+    sums: np.ndarray, squares: np.ndarray, noise: np.ndarray, times: np.ndarray
+) -> np.ndarray:
+    """Samples (n,) of which one tells as much as an independent one, no fewer than `times`.
+
+    Args:
+        sums, squares: (n, W) windows' sums of the product of torque and what is left, and of the
+            torque's squares; the torque is fitted.
+        noise: (n,) mean squares that are left.
+        times: (n,) as long as these are alike.
+    """
+    whole = np.maximum(squares.sum(1), 1e-300)
+    # As many windows as one that has all of the torque, or as all that have as much.
+    share = ((squares / whole[:, None]) ** 2).sum(1)
+    ratio = (sums**2).sum(1) / np.maximum(noise * whole * (1 - share), 1e-300)
+    degrees = 1 / np.maximum(share, 1 / squares.shape[1]) - 1
+    return times + degrees / (degrees + DEGREES) * np.maximum(ratio - times, 0.0)

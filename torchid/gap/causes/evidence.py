@@ -19,13 +19,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
 from scipy.linalg import solve_triangular
 
-from torchid.design.columns import Place
 from torchid.gap.causes.candidates import Library, Term
 from torchid.gap.causes.clusters import Clusters
 from torchid.gap.wanted import BASE
@@ -41,10 +40,6 @@ KEPT = 64
 
 DIFFERENT = 1e-12
 """Share of the squares left from which on two explanations make another torque: rounding."""
-
-
-import os
-MOTIONS = float(os.environ.get("TM", "1.5"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,30 +293,27 @@ class Evidence:
     def _beside_misfit(
         self, one: Fit, other: Fit, apart: np.ndarray, noise: np.ndarray, times: np.ndarray
     ) -> np.ndarray:
-        """Samples (n,) of which one tells as much as an independent one, where windows of the logs
-        differ by more than samples that are so long alike."""
-        parts = [(one, other, 1.0), (other, one, -1.0)]
+        """Samples (n,) of which one tells as much as an independent one, where what is left differs
+        between windows by more than samples that are so long alike."""
         there = {t.serial for t in one.terms} & {t.serial for t in other.terms}
-        if any(t.shown and t.serial not in there for f in (one, other) for t in f.terms):
+        alone = [
+            (t, sign * x)
+            for fit, sign in ((one, 1.0), (other, -1.0))
+            for t, x in zip(fit.terms, fit.values(), strict=True)
+            if t.serial not in there
+        ]
+        # What happens once differs between windows by its nature, and what another sensor shows is
+        # asked of no torque that is left.
+        if any(t.rare or t.shown for t, _ in alone):
             return times
-        earlier, new = np.zeros_like(apart), False
-        for fit, _, sign in parts:
-            for t, x in zip(fit.terms, fit.values(), strict=True):
-                if t.serial not in there and t.before is not None:
-                    new = True
-                    self._add(earlier, t.place, sign * np.tensordot(x, t.before, 1))
+        new = [(t, x) for t, x in alone if t.before is not None]
         if not new:
-            return np.maximum(times, self.clusters.same(apart, noise))
-        asked = self.library.asked
-        between = MOTIONS * self.clusters.new(np.where(asked, apart, earlier), noise)
-        return times + np.maximum(between - times, 0.0) * self.clusters.both
-
-    @staticmethod
-    def _add(torque: np.ndarray, place: Place, part: np.ndarray) -> None:
-        if place is None:
-            torque += part
-        else:
-            torque[place] += part
+            return self.clusters.same(apart, noise, times)
+        earlier = np.zeros_like(apart)
+        for t, x in new:
+            own = slice(None) if t.place is None else t.place
+            earlier[own] += np.tensordot(x, cast(np.ndarray, t.before), 1)
+        return self.clusters.new(np.where(self.library.asked, apart, earlier), noise, times)
 
     def _total(self, fit: Fit) -> float:
         return float((self.rows * np.log(fit.losses)).sum())
