@@ -20,9 +20,6 @@ WINDOWS = 8
 """Of a log: as few as a variance can be told from, as long as they can be then, for it is what
 differs from one motion to another that is asked, not from one instant to the next."""
 
-DEGREES = 2.0
-"""Windows, less one, whose variance says as much as that samples tell what they seem to [1]."""
-
 MOTIONS = 1.75
 """Variance between motions over that between windows of one motion [1]: the median, over eleven
 pairs of logs of five healthy arms, of what all of the library seemed to have changed by."""
@@ -107,8 +104,7 @@ def _more(
         times: (n,) as long as these are alike.
     """
     whole = np.maximum(squares.sum(1), 1e-300)
-    # As many windows as one that has all of the torque, or as all that have as much.
+    # What is left has no sum with a torque that is fitted; where one window has all of it nothing
+    # differs.
     share = ((squares / whole[:, None]) ** 2).sum(1)
-    ratio = (sums**2).sum(1) / np.maximum(noise * whole * (1 - share), 1e-300)
-    degrees = 1 / np.maximum(share, 1 / squares.shape[1]) - 1
-    return times + degrees / (degrees + DEGREES) * np.maximum(ratio - times, 0.0)
+    return np.maximum(times, (sums**2).sum(1) / np.maximum(noise * whole * (1 - share), 1e-300))
