@@ -274,6 +274,7 @@ def without_errors(found: TorqueDiagnosis) -> dict[str, object]:
     return {
         "causes": [repr(c) for c in causes],
         "effects": found.corrected.effects,
+        "known": repr(found.corrected.knowledge),
         "bodies": found.corrected.require_parameters("a test").pi.tolist(),
         "covariance": None if found.covariance is None else found.covariance.matrix.tolist(),
         "suspect": found.answer.main_suspect,
@@ -285,6 +286,7 @@ def noise_like(tau: Tensor) -> Tensor:
 
 
 HELD_OUT: dict[str, Callable[[Log], Log]] = {
+    "of no model": lambda log: log.replace(tau=3 * log.tau.flip(0)),
     "as it is": lambda log: log,
     "doubled": lambda log: log.replace(tau=2 * log.tau),
     "noisy": lambda log: log.replace(tau=log.tau + noise_like(log.tau)),
