@@ -279,6 +279,13 @@ def test_what_is_new_and_what_was_lacking_share_no_sentence(whens, said, confirm
     )
 
 
+def test_what_unexplained_says_stands_beside_it():
+    of = answer(status="detected_unexplained")
+    assert "; rest unexplained" in of.headline
+    assert of.legend(of.headline).startswith("Unexplained: more than noise may be")
+    assert answer().legend(answer().headline) == ""
+
+
 def test_short_of_room_causes_of_each_kind_are_counted():
     effects = ("torque_offset", "viscous_friction", "joint_spring", "torque_ripple", "filter_lag")
     causes = tuple(
