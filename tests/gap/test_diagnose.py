@@ -13,6 +13,7 @@ import torch
 
 from tests.gap.motions import ROBOT
 from tests.marks import quick_first
+from torchid.doctor.first import Doubts
 from torchid.effects.registry import FAMILIES, KINDS, nominal_effects
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
@@ -304,6 +305,14 @@ def test_held_out_data_choose_nothing(change):
     assert beside.causes
     assert beside.answer.after.how == "held out"
     assert beside.answer.left_out == alone.answer.after
+
+
+@pytest.mark.parametrize("held", [None, "of no model"])
+def test_a_doubt_is_settled_by_the_log_that_is_asked(held, monkeypatch):
+    """Whatever is held out: the causes take most of the error away on motions left out in turn."""
+    monkeypatch.setattr("torchid.gap.diagnose.ask_first", lambda *_, **__: Doubts(short="Late."))
+    apart = None if held is None else HELD_OUT[held](logged(REAL, (5,), 7))
+    assert diagnose(ROBOT, logged(REAL, (0, 1, 0)), held_out=apart, settings=QUICK).doubt == ""
 
 
 def test_a_cause_that_does_no_good_on_held_out_data_keeps_its_name_and_is_not_confirmed():

@@ -21,7 +21,6 @@ from torchid.gap.describe.shares import Shares
 from torchid.gap.describe.traces import Foretells, traces
 from torchid.gap.diagnosis import Trace, alien_joints
 from torchid.gap.folds import FEW, Folds
-from torchid.robot.model import torque_unit
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -90,8 +89,7 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
     final = checked = check(found, base)
     if problem.judged is not None:
         final = check_held_out(found, base, checked.noise, problem.judged)
-        error = float(checked.far.rms_after.norm())
-        left_out = problem.left_out.error(error, torque_unit(problem.robot))
+        left_out = replace(checked.far, judged=problem.left_out)
         final = replace(final, far=replace(final.far, left_out=left_out))
     return Decision(found, checked, final, told, dropped)
 
