@@ -169,13 +169,6 @@ def alien_joints(traces: Sequence[Trace]) -> Bool[Tensor, " n"]:
     return alien & (2 * alien.sum() > moves.sum())
 
 
-def worse_than_none(traces: Sequence[Trace]) -> bool:
-    """Whether beside the torque of most joints that move the model as given is worse than none."""
-    moves, *torques = _judged(traces)
-    torque, given, _ = (x.square().mean(0) for x in torques)
-    return bool(2 * (moves & (given > torque)).sum() > moves.sum())
-
-
 def _judged(traces: Sequence[Trace]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Joints (n,) that move; torque (N, n) that is valid, and what the model as given and the
     corrected one leave of it."""
@@ -197,7 +190,7 @@ class HowFar:
         closed_ci95: what it may be on other motions, where the log has three different ones or
             more: of resampled motions and blocks of them; else of resampled blocks.
         judged: the data.
-        left_out: the error after on motions left out in turn, where others were held out.
+        left_out: the same on motions left out in turn, where others were held out.
     """
 
     rms_before: Float[Tensor, " n"]
@@ -205,12 +198,16 @@ class HowFar:
     closed: float | None
     closed_ci95: tuple[float, float] | None
     judged: JudgedOn = field(default=LEFT_OUT, kw_only=True)
-    left_out: Error | None = field(default=None, kw_only=True)
+    left_out: "HowFar | None" = field(default=None, kw_only=True)
 
     @property
     def less(self) -> float:
         """Share of the error that is gone, whatever of it is noise; none where it grows."""
         return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
+
+    def after(self, unit: str) -> Error:
+        """The whole error after, on the data that judge it."""
+        return self.judged.error(float(self.rms_after.norm()), unit)
 
 
 @dataclass(frozen=True)
@@ -345,8 +342,8 @@ class TorqueDiagnosis(Diagnosis):
             error="the gap",
             unit=unit,
             before=far.judged.error(float(far.rms_before.norm()), unit),
-            after=far.judged.error(float(far.rms_after.norm()), unit),
-            left_out=far.left_out,
+            after=far.after(unit),
+            left_out=None if far.left_out is None else far.left_out.after(unit),
             noise=floor.total,
             closed=far.closed,
             closed_ci95=far.closed_ci95,
