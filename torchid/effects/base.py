@@ -281,10 +281,11 @@ class Effect(ABC):
 
     def at_estimate(self, values: Sequence[float]) -> "Effect":
         """The effect with its secant taken at the estimated coefficient; itself where it is not
-        `linearised`, or the estimate is zero."""
-        if not self.linearised or not abs(float(values[0])) > 0:
+        `linearised`, or the estimate is zero or one that no arm has."""
+        value, (least, most) = float(values[0]), self.ranges[0]
+        if not self.linearised or value == 0 or not least <= value <= most:
             return self
-        return replace(self, at=float(values[0]))  # type: ignore[call-arg]
+        return replace(self, at=value)  # type: ignore[call-arg]
 
     @property
     def law(self) -> str:

@@ -18,7 +18,6 @@ from torchid.gap.causes.events import planes, pushes
 from torchid.gap.causes.evidence import Evidence, Fit
 from torchid.gap.causes.screen import Screen
 from torchid.parallel.pace import Pace
-from torchid.statistics.blocks import block_numbers
 from torchid.statistics.evidence import solved
 
 TRIED = 10
@@ -63,10 +62,6 @@ explain on a joint [1]."""
 
 ACTS = 0.1
 """Torque of a cause while it acts, over the most that it makes, at least [1]."""
-
-WOVEN = 5
-"""Parts that a log is woven of when the worth of a cause is asked, each a fifth of its blocks: what
-drifts over a log is in all of them."""
 
 OWN_BLOCKS = 4
 """Blocks of the samples in which a cause acts that acts at times only; every other one is left out
@@ -499,15 +494,12 @@ class Search:
         return part
 
     def worthwhile(self, fit: Fit) -> Found:
-        """Without what lowers no joint's error by as much as is worth a name on data that was not
-        fitted; the least worthy leaves first."""
-        part = block_numbers(
-            self.library.samples.bounds, round(1.5 / self.library.samples.interval)
-        )
-        woven = part.numpy() % WOVEN
+        """Without what lowers no joint's error by as much as is worth a name on motions left out;
+        the least worthy leaves first."""
+        motions = np.where(self.library.asked, self.library.problem.folds.fold.numpy(), -1)
         small: list[Term] = []
         while fit.terms:
-            own = self.shared(fit, woven)
+            own = self.shared(fit, motions)
             parts = {t.since: self.library.judged(t, own) for t in fit.terms}
             whole = {since: self.left_out(fit, part) for since, part in parts.items()}
             worth = [

@@ -45,9 +45,6 @@ from torchid.typing import Bool, Float, Int, Tensor
 A_BASE_PARAMETER = Coefficient("", "", False, "a base parameter")
 
 
-HARDLY = 1e-3
-"""Weight of samples that are left out [1]: a millionth of their squares."""
-
 STEPS = 12
 """Gauss-Newton steps at most, of which two to four are the rule: they end by the evidence."""
 
@@ -345,9 +342,8 @@ class Solution:
         # taken from them; of something that is there all the time four folds of five hold 0.8
         held = [float((s * fitted).sum(-1).max()) >= 0.3 * float(s.sum(-1).max()) for s in squares]
         free = torch.cat([torch.full((len(v),), h) for v, h in zip(self.values, held, strict=True)])
-        # One Gauss-Newton step of those from the solution, from what is known beforehand. What is
-        # left out has next to no weight: along what the others do not determine nothing moves.
-        weight = self.weight.sqrt().unsqueeze(1) * torch.where(fitted, 1.0, HARDLY)
+        # One Gauss-Newton step of those from the solution, from what is known beforehand.
+        weight = self.weight.sqrt().unsqueeze(1) * fitted
         y = ((self.left + torch.tensordot(x * free, self.a, 1)) * weight).flatten()
         a = (self.a * free[:, None, None] * weight).flatten(1)
         again = prior_of(self.parts).solve(a @ a.T, a @ y)
