@@ -263,11 +263,6 @@ class Library:
         """What the model left unexplained (n,) on a log that is not beside, RMS [N m; N]."""
         return self.known_noise
 
-    def judged(self, term: Term, part: np.ndarray) -> np.ndarray:
-        """Parts (N,) of the logs on which a term is held against data that were not fitted; below
-        zero where it is not."""
-        return part
-
     def rms(self, x: np.ndarray) -> np.ndarray:
         """RMS (n,) of samples (n, N) of the log that is asked."""
         rows = np.maximum(self.keep[:, self.asked].sum(1), 1.0)

@@ -500,16 +500,13 @@ class Search:
         small: list[Term] = []
         while fit.terms:
             own = self.shared(fit, motions)
-            parts = {t.since: self.library.judged(t, own) for t in fit.terms}
-            whole = {since: self.left_out(fit, part) for since, part in parts.items()}
+            whole = self.left_out(fit, own)
             worth = [
                 # What another sensor shows is there, however little of it the fit's torque has.
                 np.inf
                 if t.shown
                 else max(
-                    self.worth(
-                        whole[t.since], self.left_out(fit, parts[t.since], t), self._share(fit, t)
-                    ),
+                    self.worth(whole, self.left_out(fit, own, t), self._share(fit, t)),
                     self._displaced(fit, t),
                 )
                 for t in fit.terms
