@@ -12,6 +12,8 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset, ViscousFrict
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.inertia import RotorInertia
 from torchid.gap.cause_records import body_cause, effect_cause, valued
+from torchid.gap.describe.findings import Findings
+from torchid.gap.torque import that_help
 from torchid.results.cause import remedy_of
 
 KINDS = (ViscousFriction, CoulombFriction, RotorInertia, TorqueOffset)
@@ -69,3 +71,18 @@ def test_what_all_joints_share_and_none_feels_much_can_be_read_back() -> None:
     )
     assert cause.at == ()
     assert valued(cause, ROBOT) == (effect, [0.4])
+
+
+@pytest.mark.parametrize(
+    ("shares", "kept"),
+    [((0.5, -0.1, 0.2), (0, 1, 2)), ((-0.2, 0.1, 0.2), (2,)), ((0.0, 0.0, -0.1), ())],
+)
+def test_forms_of_a_law_take_of_the_error_together(shares, kept) -> None:
+    effects = (ViscousFriction(0), CoulombFriction(0), TorqueOffset(1))
+    causes = tuple(
+        effect_cause((e, [0.4]), [0.1], model(), model(), 0, share=share)
+        for e, share in zip(effects, shares, strict=True)
+    )
+    helping, others = that_help(Findings(causes, ()), ROBOT)
+    assert helping.causes == tuple(causes[k] for k in kept)
+    assert others == (len(kept) < 3)

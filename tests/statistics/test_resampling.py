@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binomtest, norm
 
 from torchid.statistics.proportion import clopper_pearson, wilson
 from torchid.statistics.resampling import (
     bootstrap,
     bootstrap_weights,
+    falling_share,
     nested_weights,
     percentile_interval,
 )
@@ -22,6 +23,16 @@ def test_weights_count_the_draws_of_the_same_seed():
     x = np.arange(7) ** 2
     assert weights @ x == pytest.approx(x[chosen].sum(1))
     assert set(weights.sum(1)) == {7.0}
+
+
+def test_what_falls_in_all_units_falls_in_all_draws():
+    weights = bootstrap_weights(30, 400, rng())
+    falls = rng().standard_normal((30, 3)) * [0.1, 0.1, 1.0] + [1.0, -1.0, 0.0]
+    always, never, half = falling_share(falls, weights)
+    assert (always, never) == (1.0, 0.0)
+    # Of what falls in some units the normal law of the mean says it.
+    mean, std = falls[:, 2].mean(), falls[:, 2].std() / 30**0.5
+    assert half == pytest.approx(norm.cdf(mean / std), abs=0.06)
 
 
 def test_groups_are_drawn_with_their_units():

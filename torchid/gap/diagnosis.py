@@ -169,6 +169,13 @@ def alien_joints(traces: Sequence[Trace]) -> Bool[Tensor, " n"]:
     return alien & (2 * alien.sum() > moves.sum())
 
 
+def worse_than_none(traces: Sequence[Trace]) -> bool:
+    """Whether beside the torque of most joints that move the model as given is worse than none."""
+    moves, *torques = _judged(traces)
+    torque, given, _ = (x.square().mean(0) for x in torques)
+    return bool(2 * (moves & (given > torque)).sum() > moves.sum())
+
+
 def _judged(traces: Sequence[Trace]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Joints (n,) that move; torque (N, n) that is valid, and what the model as given and the
     corrected one leave of it."""

@@ -157,8 +157,9 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
     after = after_log(found)
     lasting = tuple(p for p in corrected.effects if p[0].name not in EVENTS)
     recommended = with_load_apart(Model(corrected.robot, lasting), problem).described()
-    known = known_of(found, after, found.least)
+    known = known_of(found, after, decision.least)
     said = with_changes(said, known, problem.robot)
+    said, harmful = that_help(said, problem.robot)
     small, of_few = tuple[Cause, ...](), tuple[Cause, ...]()
     if pace.has_time("small effects"):
         small = small_effects(found, explained)
@@ -188,6 +189,7 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
             decision.unnamed_squares(falls),
             hides or is_poor(found, unseen),
             shown=all(t.shown for t in found.terms),
+            taken=decision.taken_back or harmful,
             small=bool(small),
         ),
         joints=joints,
@@ -213,6 +215,26 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         knowledge=known,
         rows=kept(data.samples, problem.robot),
     )
+
+
+def that_help(said: Findings, robot: Robot) -> tuple[Findings, bool]:
+    """Those that take something of the error away, of a joint's law all forms together, and whether
+    there are others: these stay in the model, unnamed."""
+    laws = [_law(c, robot) for c in said.causes]
+    taken = dict.fromkeys(laws, 0.0)
+    for law, cause in zip(laws, said.causes, strict=True):
+        taken[law] += cause.share
+    pairs = zip(laws, said.causes, strict=True)
+    helping = tuple(c for law, c in pairs if not taken[law] <= 0)
+    return replace(said, causes=helping), len(helping) < len(said.causes)
+
+
+def _law(cause: Cause, robot: Robot) -> tuple[str, tuple[int, ...]]:
+    """What takes of the error as a whole: a joint's law, whose forms may do so against each other,
+    or the cause itself."""
+    one = cause.effect != LINK and len(cause.at) == 1
+    law = valued(cause, robot)[0].law if one else ""
+    return law or cause.effect, cause.at
 
 
 def with_refit(said: Findings, decision: Decision) -> Findings:

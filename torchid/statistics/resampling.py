@@ -47,6 +47,17 @@ def nested_weights(groups: Array, draws: int, rng: np.random.Generator) -> Array
     return weights
 
 
+def falling_share(falls: Array, weights: Array) -> Array:
+    """Share of samples in which an error falls: how far data that were not fitted confirm what was
+    found on others, whose probability is times that.
+
+    Args:
+        falls: (units, ...) by which the squared error of each unit falls.
+        weights: (draws, units) how often each is in a sample.
+    """
+    return (weights @ falls > 0).mean(0)
+
+
 def percentile_interval(values: Array, level: float = LEVEL) -> tuple[float, float]:
     """Two-sided percentile interval of a statistic's draws (D,); nan where fewer than nine in ten
     of the draws are finite."""

@@ -42,14 +42,24 @@ def claim(sure: float, law: float = 0.0, rivals: tuple[float, ...] = (), **more:
     members = [((some_term(n),), p) for n, p in zip(names, rivals, strict=False)]
     members.append(((one,), sure))
     nothing = max(0.0, 1 - sure - sum(rivals))
-    return Claim(Judged(one, one, sure, sure, nothing, tuple(members), law), **more)
+    return Claim(Judged(one, one, sure, sure, nothing, tuple(members), law), torch.ones(3), **more)
+
+
+@pytest.mark.parametrize(
+    ("rare", "force", "std", "named"),
+    [(True, 89.0, 219.0, False), (True, -89.0, 20.0, True), (False, 0.1, 0.2, True)],
+)
+def test_a_push_that_may_as_well_not_be_has_no_name(rare, force, std, named):
+    one = claim(0.99)
+    one.judged.term.rare = rare
+    assert one.as_known(force, std).named == named
 
 
 def test_another_push_in_the_same_window_is_a_push() -> None:
     """One name has one probability, and is no rival of itself."""
     one, other, gain = (some_term(n, None) for n in ("contact", "contact", "torque_gain"))
     members = (((one,), 0.4), ((other,), 0.3), ((gain,), 0.2))
-    of = Claim(Judged(one, one, 0.4, 0.4, 0.1, members, 0.4))
+    of = Claim(Judged(one, one, 0.4, 0.4, 0.1, members, 0.4), torch.ones(3))
     assert of.probabilities == pytest.approx({"contact": 0.7, "torque_gain": 0.2})
     assert of.ambiguous_with == ("torque_gain",)
 
@@ -62,6 +72,19 @@ def test_of_a_law_whose_terms_are_unsure_the_largest_has_the_name():
     assert with_a_name(law, [0.1, 0.5, 0.4]) == [True, False, False]
     # A law that is not likely names nothing.
     assert with_a_name([claim(0.3, 0.4), claim(0.4, 0.4)], [0.1, 0.5]) == [False, False]
+
+
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=2, max_size=6).filter(lambda m: sum(m) > 0),
+    st.floats(0.0, 1.0),
+)
+def test_what_other_data_do_not_confirm_is_nothing(masses, share):
+    sure, *others = (m / sum(masses) for m in masses)
+    one = claim(sure, rivals=tuple(others))
+    less = one.beside(torch.tensor([share, 0.0, 0.0]).double())
+    assert less.alone_sure == pytest.approx(share * one.alone_sure)
+    assert less.set_sure == pytest.approx(share * one.set_sure)
+    assert less.law_sure <= one.law_sure
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=2, max_size=6))
@@ -99,7 +122,7 @@ def test_of_the_same_effect_elsewhere_the_set_says_where():
     search = search_of(measured([]), ("link_inertia",), inertial=True)
     own, other = (on_joint(search, "link_inertia", j) for j in (2, 1))
     judged = Judged(own, own, 0.5, 0.5, 0.0, (((own,), 0.5), ((other,), 0.5)), 0.5)
-    one = Claim(judged)
+    one = Claim(judged, torch.ones(3))
     assert one.ambiguous_with == ("link_inertia 2",)
     assert one.branch_sure == 0.5
     assert replace(one, judged=replace(judged, members=(((own,), 1.0),))).ambiguous_with == ()

@@ -1,8 +1,8 @@
 """What is answered of an explanation, and what it is worth on data that it was not fitted on.
 
 What is less likely than not stays in the model without a name, as long as something else has one.
-Names are chosen by then (`Search.worthwhile`): parts of the log that are left out in turn, and a
-held-out log, say how far the answer goes on them, and change no name and no number.
+Each part of the log, left out in its turn, confirms what was fitted to the others. A held-out log
+is opened when all is chosen: it says how far that goes there, and changes no name and no number.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,9 @@ from torchid.gap.describe.model import Explanation, Solution, refitted
 from torchid.gap.describe.noise import Noise, noise_of
 from torchid.gap.describe.shares import Shares
 from torchid.gap.describe.traces import Foretells, traces
-from torchid.gap.diagnosis import Trace, alien_joints
+from torchid.gap.diagnosis import Trace, alien_joints, worse_than_none
 from torchid.gap.folds import FEW, Folds
+from torchid.gap.wanted import BASE
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -54,11 +55,14 @@ class Decision:
 
     Attributes:
         found: which.
-        checked: on motions or stretches of the log that were left out in turn.
-        final: on the held-out log, where there is one; else the same.
+        checked: on motions or stretches of the log that were left out in turn: what decides.
+        final: on the held-out log, where there is one, which decides nothing; else the same.
         claims: its causes.
         dropped: an explanation none of whose causes is likely, and these; nothing of it is
             answered.
+        least: (n,) torque that is worth a name [N m; N].
+        taken_back: whether something that the evidence had has left for the harm that it did: it
+            was no explanation, but the gap is there.
     """
 
     found: Explanation
@@ -66,6 +70,8 @@ class Decision:
     final: Checked
     claims: tuple[Claim, ...]
     dropped: tuple[Explanation, tuple[Claim, ...]] | None
+    least: Float[Tensor, " n"]
+    taken_back: bool
 
     def unnamed_squares(self, taken: Shares) -> Float[Tensor, " n"]:
         """What causes without a name take (n,) of the mean squares of the error, on data that was
@@ -82,16 +88,26 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
         found: the explanation.
         claims: its causes, as sure as the log makes them.
     """
-    problem, told, dropped = found.problem, tuple(claims), None
-    if unsure(told):
-        dropped, found, told = (found, told), found.dropped(), ()
+    problem = found.problem
     base = refitted(problem.given, problem.data, problem.wanted)
-    final = checked = check(found, base)
+    checked = check(found, base)
+    # Where most joints' torque follows neither model nothing is confirmed, on no joint; nor where
+    # the model as given is worse than none there, and other bodies altogether take its place.
+    replaced = any(t.name == BASE for t in found.terms) and worse_than_none(checked.shown)
+    shrinks = checked.far.shrinks * (not (replaced or bool(checked.alien.any())))
+    told, dropped, taken_back = [one.beside(shrinks) for one in claims], None, False
+    told = [one.as_known(*found.solution.largest(one.term)) for one in told]
+    least = found.least
+    if unsure(told):
+        dropped, taken_back = (found, tuple(told)), not all(one.unnamed for one in claims)
+        found, told = found.dropped(), []
+        checked = check(found, base)
+    final = checked
     if problem.judged is not None:
         final = check_held_out(found, base, checked.noise, problem.judged)
         left_out = replace(checked.far, judged=problem.left_out)
         final = replace(final, far=replace(final.far, left_out=left_out))
-    return Decision(found, checked, final, told, dropped)
+    return Decision(found, checked, final, tuple(told), dropped, least, taken_back)
 
 
 def check(found: Explanation, base: Solution) -> Checked:

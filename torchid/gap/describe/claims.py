@@ -2,8 +2,10 @@
 joint."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+
+import torch
 
 from torchid.effects.base import Effect
 from torchid.effects.registry import KINDS
@@ -13,6 +15,7 @@ from torchid.gap.causes.judge import Judged, is_one_curve
 from torchid.gap.wanted import BASE
 from torchid.results.cause import LINK
 from torchid.statistics.criteria import LIKELY, SET_MASS
+from torchid.typing import Float, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,14 +24,18 @@ class Claim:
 
     Attributes:
         judged: the cause, with its probability and those of its rivals.
+        fall: (n,) sum of squares that it takes from each joint.
         at_an_end: whether its shape is at the end of its range.
         curve: whether its joint's law is told from no other smooth curve, and no part of it has a
             name.
+        confirmed: share of what is there that data which were not fitted confirm.
     """
 
     judged: Judged
+    fall: Float[Tensor, " n"]
     at_an_end: bool = False
     curve: bool = False
+    confirmed: float = 1.0
 
     @property
     def term(self) -> Term:
@@ -43,19 +50,19 @@ class Claim:
     @property
     def law_sure(self) -> float:
         """Probability that there is any form of the law, or of the cause itself."""
-        return self.judged.law
+        return self.confirmed * self.judged.law
 
     @property
     def alone_sure(self) -> float:
         """Probability of the cause itself."""
-        return 0.0 if self.curve else self.judged.own
+        return 0.0 if self.curve else self.confirmed * self.judged.own
 
     @cached_property
     def others(self) -> tuple[tuple[Term, float], ...]:
         """What may stand in its place, the likeliest first, with probabilities; of several terms
         together each has a part."""
         members = ((ts, p) for ts, p in self.judged.members if ts[0] is not self.term)
-        return tuple((t, p / len(ts)) for ts, p in members for t in ts)
+        return tuple((t, self.confirmed * p / len(ts)) for ts, p in members for t in ts)
 
     @property
     def set_sure(self) -> float:
@@ -114,6 +121,12 @@ class Claim:
         return _name(self.term)
 
     @property
+    def asked_again(self) -> bool:
+        """Whether it can be asked of data that were not fitted: not what happened once, or shows on
+        another sensor."""
+        return not (self.term.shown or self.term.rare)
+
+    @property
     def probabilities(self) -> dict[str, float]:
         """Of it alone and of each of its set, by name; what has its name elsewhere on the arm, as
         another push in the same window, is part of its own."""
@@ -130,6 +143,24 @@ class Claim:
         alike = (p for t, p in self.others if kind_of(t).branch == mine and _near(t, self.term))
         return self.alone_sure + sum(alike)
 
+    def as_known(self, value: float, std: float) -> "Claim":
+        """This claim, its largest coefficient being known to a standard deviation: what acts at
+        times only, and may as well not, is not confirmed."""
+        return replace(self, confirmed=0.0) if self.term.rare and abs(value) < std else self
+
+    def beside(self, shrinks: Float[Tensor, " n"]) -> "Claim":
+        """This claim beside data that were not fitted.
+
+        Args:
+            shrinks: (n,) probability that each joint's error is less with what is told.
+        """
+        if not self.asked_again:
+            return self
+        joint = self.term.place
+        return replace(
+            self, confirmed=float(shrinks[self.fall.argmax() if joint is None else joint])
+        )
+
 
 def claims_of(explained: Explained) -> list[Claim]:
     """All causes of an explanation."""
@@ -144,6 +175,7 @@ def claims_of(explained: Explained) -> list[Claim]:
     return [
         Claim(
             one,
+            torch.from_numpy(search.without(fit, one.term).losses - fit.losses).clamp(min=0),
             bool(at_an_end(search.library, one.term)),
             one.term.law in curves,
         )

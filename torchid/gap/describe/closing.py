@@ -24,6 +24,7 @@ from torchid.statistics.resampling import (
     DRAWS,
     LEVEL,
     bootstrap_weights,
+    falling_share,
     nested_weights,
     percentile_interval,
 )
@@ -39,8 +40,10 @@ class Closing(HowFar):
 
     Attributes:
         improves: whether resampled blocks are better after than before (one-sided 95 %).
+        shrinks: (n,) share of resampled blocks in which each joint's error is less after.
     """
 
+    shrinks: Float[Tensor, " n"]
     improves: bool = False
 
 
@@ -111,6 +114,7 @@ def closing(
     weights = torch.from_numpy(bootstrap_weights(len(counts), DRAWS, rng))
     first, last = (weights @ (x / unit).sum(1) for x in (before, after))
     improves = bool((first - last).quantile(1 - LEVEL) > 0)
+    shrinks = torch.from_numpy(falling_share((before - after).numpy(), weights.numpy()))
     low, high = (x.clamp(min=1e-12).log() for x in (floor.low, floor.high))
     z = torch.from_numpy(rng.standard_normal((DRAWS, len(unit))))
     drawn = torch.exp((high - low) / HALF_90 * z) if floor.source == "repeats" else 1.0
@@ -120,7 +124,7 @@ def closing(
     )
     # A gap that may be zero has no share that could be closed.
     if not excess[0] > 0:
-        return Closing(rms[0], rms[1], None, None, improves=improves)
+        return Closing(rms[0], rms[1], None, None, shrinks=shrinks, improves=improves)
     if motions is not None:
         # How far on others: motions are drawn, and then blocks of each.
         own = np.repeat(motions, [len(p[0]) for p in parts])
@@ -142,10 +146,10 @@ def closing(
     left = rms[1].square().sum()
     value = float(closed_share(rms[0].square().sum(), left, torch.minimum(noise.sum(), left)))
     if value != value:
-        return Closing(rms[0], rms[1], None, None, improves=improves)
+        return Closing(rms[0], rms[1], None, None, shrinks=shrinks, improves=improves)
     ends_of = [*(x for pair in intervals for x in pair if x == x), value]
     interval = min(ends_of), max(ends_of)
-    return Closing(rms[0], rms[1], value, interval, improves=improves)
+    return Closing(rms[0], rms[1], value, interval, shrinks=shrinks, improves=improves)
 
 
 def budget(refitted: Sequence[Trace], traces: Sequence[Trace], floor: NoiseFloor) -> Budget:

@@ -74,7 +74,6 @@ def describe_findings(
         corrected: the robot that is recommended.
     """
     causes, undecided, judged = [], [], found.problem.left_out
-    fitted = JudgedOn(on=judged.on, how="fitted")
     named = with_a_name(claims, taken.shares)
     for k, one in enumerate(claims):
         if not named[k]:
@@ -88,8 +87,7 @@ def describe_findings(
             "alone": taken.alone[k],
             "removes": tuple(taken.removes[[k, *alike]].sum(0).tolist()),
             "when": one.judged.when or UNSET,
-            # Nothing that happened once, or that another sensor shows, is asked of data left out.
-            "judged": fitted if one.term.shown or one.term.rare else judged,
+            "judged": judged if one.asked_again else JudgedOn(on=judged.on, how="fitted"),
         }
         causes.append(_cause(found, k, one, corrected, own))
         separable = None if one.term.parametric else _separable(found, one)

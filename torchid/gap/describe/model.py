@@ -330,6 +330,12 @@ class Solution:
         squares = self.a[self.at(k)].square().sum((1, 2))
         return int((self.values[k].square() * squares).argmax())
 
+    def largest(self, term: Term) -> tuple[float, float]:
+        """A cause's coefficient that makes most of its torque, and its standard deviation."""
+        k = self.number(term)
+        main = self.main(k)
+        return float(self.values[k][main]), float(self.std[k][main])
+
     def without(self, fitted: Bool[Tensor, " N"]) -> Model:
         """The same parts, fitted on some of the samples only. What happened once cannot be
         predicted: a part that these samples hardly hold keeps the coefficients of all."""

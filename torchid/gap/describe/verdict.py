@@ -102,6 +102,7 @@ def status_of(
     unnamed: Float[Tensor, " n"],
     poor: bool,
     shown: bool,
+    taken: bool = False,
     small: bool = False,
 ) -> Status:
     """The verdict. What is told must shrink the gap on data it was not fitted on, by a share that
@@ -118,12 +119,14 @@ def status_of(
         unnamed: (n,) mean squares that terms without a name take.
         poor: whether the log could not show most effects, or the model was too unsure of itself.
         shown: whether another sensor than that of torque shows all that is told.
+        taken: whether something that the evidence had was taken back for the harm that it did: it
+            was no explanation, but the gap is there.
         small: whether there are causes of a size below what was asked for.
     """
     # What has no name explains nothing.
     unexplained = bool((left.unexplained | (unnamed > least.square())).any())
     if not said.causes:
-        if unexplained:
+        if unexplained or taken or checked.alien.any():
             return "detected_unexplained"
         if poor:
             return "not_testable"
