@@ -428,14 +428,12 @@ def test_torque_in_percent_of_its_rating_is_a_gain_of_each_joint():
     assert [gains[j] for j in range(3)] == pytest.approx((scale - 1).tolist(), rel=0.03)
 
 
-def test_an_effort_that_is_no_torque_is_said_first_and_confirms_nothing():
-    """Where most joints' torque is not the model's; that of joint 3 is friction by itself."""
+def test_an_effort_that_is_no_torque_names_nothing():
+    """Where most joints' torque is not the model's, friction of the last one is no cause."""
     how = Recording(runs=ONCE)
     log, speed = logged(ROBOT, how), true_motion(how).dq
     assert speed is not None
     other = torch.stack([0.3 * log.q[:, 0], 0.2 * log.q[:, 1], 2.0 * speed[:, 2]], -1)
     found = torchid.diagnose(ROBOT, log.replace(tau=other), settings=quick(), force=True)
     assert found.status == "detected_unexplained"
-    assert found.answer.doubt
-    assert found.answer.headline.startswith(f"{found.answer.doubt}\nNot confirmed: ")
-    assert not found.answer.confirmed
+    assert found.which == ()
