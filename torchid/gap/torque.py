@@ -177,21 +177,25 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         shares = budget(final.refitted, final.shown, final.noise.floor)
     least = found.worth(checked.far.rms_before.square())
     left = Left.of(checked, least)
+    status = status_of(
+        said,
+        checked,
+        final,
+        left,
+        least,
+        decision.unnamed_squares(falls),
+        hides or is_poor(found, unseen),
+        shown=all(t.shown for t in found.terms),
+        taken=decision.taken_back or harmful,
+        small=bool(small),
+    )
+    # Of what is unexplained, or small; what else is wrong has words of its own.
+    said_so = status == "negligible" or bool(left.unexplained.any())
+    remainder = left.words(problem.robot) if said_so else ""
     return TorqueDiagnosis(
         robot=problem.given.model.described(),
         corrected=replace(recommended, knowledge=after),
-        status=status_of(
-            said,
-            checked,
-            final,
-            left,
-            least,
-            decision.unnamed_squares(falls),
-            hides or is_poor(found, unseen),
-            shown=all(t.shown for t in found.terms),
-            taken=decision.taken_back or harmful,
-            small=bool(small),
-        ),
+        status=status,
         joints=joints,
         regimes=regimes,
         causes=said.causes,
@@ -206,7 +210,7 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         settings=settings,
         refitted=problem.wanted.free,
         warnings=ordered(warnings_of(decision, said.causes, cost, left)),
-        remainder=left.words(problem.robot),
+        remainder=remainder,
         friction=friction_laws(decision, falls, said.causes),
         covariance=covariance_of(found.solution),
         residual=residuals(final.shown),

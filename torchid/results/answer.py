@@ -477,18 +477,16 @@ class Answer(Part, frozen=True, kw_only=True):
             if joint in laws and laws[joint].has(cause.effect):
                 own.setdefault(joint, {}).setdefault(cause.when, []).append(cause)
         for joint, whens in own.items():
-            law, last = laws[joint], max(whens, key=list(WHENS).index)
-            for when, causes in whens.items():
-                # What has no name is no news.
-                unnamed = law.unnamed if when == last else 0.0
-                if len(causes) == 1 and unnamed <= 0:
-                    continue
-                gone += causes
-                one = Cause(
-                    effect="friction", joints=(joint,), how_sure=law.how_sure, when=when,
-                    share=unnamed + sum(c.share for c in causes), remedy=REMEDY, law=law,
-                )  # fmt: skip
-                merged.append(one)
+            law, (when, causes) = laws[joint], next(iter(whens.items()))
+            # The law's numbers are of all of it: of what is new and what was there none are.
+            if len(whens) > 1 or (len(causes) == 1 and law.unnamed <= 0):
+                continue
+            gone += causes
+            one = Cause(
+                effect="friction", joints=(joint,), how_sure=law.how_sure, when=when,
+                share=law.unnamed + sum(c.share for c in causes), remedy=REMEDY, law=law,
+            )  # fmt: skip
+            merged.append(one)
         if not merged:
             return self.causes
         out = [*(c for c in self.causes if not any(c is x for x in gone)), *merged]

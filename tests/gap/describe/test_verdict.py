@@ -8,6 +8,7 @@ import torch
 
 from tests.gap.diagnoses import NOISE, coulomb, trace
 from tests.gap.motions import noise
+from tests.gap.problems import base_of_3r
 from tests.gap.small_logs import ONCE, RATE, Recording, true_motion
 from tests.gap.small_logs import ROBOT as ARM
 from torchid.excitation.synthetic import synthetic_log
@@ -20,6 +21,7 @@ from torchid.gap.diagnose import diagnose
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.record import NoiseFloor
 from torchid.gap.settings import GapSettings
+from torchid.identification.knowledge import over_parameters
 from torchid.log.model import Log
 from torchid.typing import Tensor
 
@@ -75,7 +77,12 @@ def test_as_much_as_the_model_left_before_is_unexplained_no_more():
     of = checked(10.0)
     left = Left.of(of, of.far.rms_after)
     assert status(of, left) == "negligible"
-    assert left.words(ARM).endswith("as much as the model left on its own log")
+    assert "left on its own log" not in left.words(ARM)
+    known = over_parameters(
+        torch.eye(len(base_of_3r().by_link), dtype=torch.float64), base_of_3r(), (), "monday"
+    )
+    saved = replace(ARM, knowledge=replace(known, left=torch.ones(3)))
+    assert left.words(saved).endswith("as much as the model left on its own log")
 
 
 def spring(motion: Log) -> Tensor:

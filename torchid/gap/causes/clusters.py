@@ -17,8 +17,9 @@ from torchid.gap.causes.candidates import Library
 from torchid.statistics.blocks import block_numbers
 
 WINDOWS = 8
-"""Of a log: as few as a variance can be told from, as long as they can be then, for it is what
-differs from one motion to another that is asked, not from one instant to the next."""
+"""Of a log, and one of a trajectory at least: as few as a variance can be told from, as long as
+they can be then, for it is what differs from one motion to another that is asked, not from one
+instant to the next."""
 
 MOTIONS = 1.75
 """Variance between motions over that between windows of one motion [1]: the median, over eleven
@@ -26,6 +27,9 @@ pairs of logs of five healthy arms, of what all of the library seemed to have ch
 
 FELT = 1e-6
 """Share of a torque's squares from which a log shows it [1]."""
+
+ALONE = 1e-3
+"""Share of a torque's squares beyond one window below which that window has all of it [1]."""
 
 
 class Clusters:
@@ -68,11 +72,11 @@ class Clusters:
         out, least = times, FELT * (torque**2).sum(1)
         for log in self.logs:
             sums, squares = _sums(torque * left, log), _sums(torque**2, log)
-            whole = np.maximum(squares.sum(1, keepdims=True), 1e-300)
-            sums = sums - squares / whole * sums.sum(1, keepdims=True)
             more = _more(sums, squares, self._noise(left), times)
-            out = np.where(squares.sum(1) > least, np.maximum(out, more), out)
-        return times + MOTIONS * self.both * (out - times)
+            shown = squares.sum(1) > least
+            out = np.where(shown, np.maximum(out, more), out)
+        # Where the earlier log, the last, does not show it, the two have nothing in common.
+        return times + np.where(shown, MOTIONS * self.both, 1.0) * (out - times)
 
     def _noise(self, left: np.ndarray) -> np.ndarray:
         return (left**2).sum(1) / self.rows
@@ -99,12 +103,14 @@ def _more(
 
     Args:
         sums, squares: (n, W) windows' sums of the product of torque and what is left, and of the
-            torque's squares; the torque is fitted.
+            torque's squares.
         noise: (n,) mean squares that are left.
         times: (n,) as long as these are alike.
     """
-    whole = np.maximum(squares.sum(1), 1e-300)
-    # What is left has no sum with a torque that is fitted; where one window has all of it nothing
-    # differs.
-    share = ((squares / whole[:, None]) ** 2).sum(1)
-    return np.maximum(times, (sums**2).sum(1) / np.maximum(noise * whole * (1 - share), 1e-300))
+    whole = np.maximum(squares.sum(1, keepdims=True), 1e-300)
+    share = squares / whole
+    about = sums - share * sums.sum(1, keepdims=True)
+    # Where one window has all of the torque nothing differs.
+    room = 1 - (share**2).sum(1)
+    ratio = (about**2).sum(1) / np.maximum(noise * whole[:, 0] * room, 1e-300)
+    return np.where(room > ALONE, np.maximum(times, ratio), times)

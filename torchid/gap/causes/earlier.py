@@ -132,4 +132,5 @@ class TwoLogs(Library):
         """A term, zero on the earlier log if it is new."""
         if term.since != NEW:
             return term
-        return replace(term, columns=term.columns * self.asked, before=term.columns)
+        before = None if term.rare else term.columns[..., ~self.asked].copy()
+        return replace(term, columns=term.columns * self.asked, before=before)

@@ -309,11 +309,17 @@ class Evidence:
         new = [(t, x) for t, x in alone if t.before is not None]
         if not new:
             return self.clusters.same(apart, noise, times)
-        earlier = np.zeros_like(apart)
+        before, touched = ~self.library.asked, np.zeros(self.n, bool)
+        would = np.zeros((self.n, int(before.sum())))
         for t, x in new:
             own = slice(None) if t.place is None else t.place
-            earlier[own] += np.tensordot(x, cast(np.ndarray, t.before), 1)
-        return self.clusters.new(np.where(self.library.asked, apart, earlier), noise, times)
+            would[own] += np.tensordot(x, cast(np.ndarray, t.before), 1)
+            touched[own] = True
+        # On joints of other terms alone both logs have what is asked.
+        torque = apart.copy()
+        torque[np.ix_(touched, before)] = would[touched]
+        more = self.clusters.new(torque, noise, times)
+        return np.where(touched, more, self.clusters.same(apart, noise, times))
 
     def _total(self, fit: Fit) -> float:
         return float((self.rows * np.log(fit.losses)).sum())

@@ -115,7 +115,7 @@ class Search:
         self.evidence = Evidence(library)
         self.screen = Screen(self.evidence)
         self.watch = watch or (lambda search, fit: None)
-        self.visited: set[frozenset[object]] = set()
+        self.visited: set[frozenset[int]] = set()
         self.impossible: set[object] = set()
         self._rises: dict[tuple[Fit, Fit], float] = {}
         self._secants: dict[tuple[int, float], Term | None] = {}
@@ -186,6 +186,8 @@ class Search:
             # Nothing joined or left: another round would try the same.
             if {t.key for t in fit.terms} == before:
                 break
+        # What is superfluous leaves, though the rest was there before.
+        self.visited.clear()
         return self.worthwhile(self.as_loads(self.simpler(self.shrink(fit))))
 
     def simpler(self, fit: Fit) -> Fit:
@@ -252,7 +254,7 @@ class Search:
 
     def _take(self, fit: Fit) -> Fit:
         """The fit that the search goes on from."""
-        self.visited.add(frozenset(t.key for t in fit.terms))
+        self.visited.add(frozenset(t.root for t in fit.terms))
         self._rises.clear()
         self.pace.scale(JUDGED, (1 + len(fit.terms)) / USUAL)
         self.pace.tell()
@@ -270,7 +272,7 @@ class Search:
         visited."""
         best: tuple[float, Fit] | None = None
         for fit in fits:
-            if frozenset(t.key for t in fit.terms) in self.visited:
+            if frozenset(t.root for t in fit.terms) in self.visited:
                 continue
             rise = self._rise(fit, now)
             # Of what makes the same torque in this log the first of the library is taken.
@@ -378,9 +380,11 @@ class Search:
             base = self.without(fit, t)
             # To first order, in noise as it is with all of them: rises are of one scale then.
             samples = fit.samples * base.losses / fit.losses
-            ranked = self.screen.best(base, samples, 2 * TRIED, frozenset(self.impossible))
-            own = next((gain for gain, u in ranked if u.key == t.key), 0.0)
-            tried += [(gain - own, base, t, u) for gain, u in ranked if u is not t]
+            ranked = self.screen.ranked(base, samples, frozenset(self.impossible))
+            rise = self.evidence.value(fit) - self.evidence.value(base)
+            own = next((gain for gain, u in ranked if u.key == t.key), rise)
+            some = self.screen.spread(ranked, 2 * TRIED)
+            tried += [(gain - own, base, t, u) for gain, u in some if u.root != t.root]
         tried.sort(key=lambda one: -one[0])
         for _, base, t, other in tried[:FITTED]:
             then = self.beside(base.terms, other, fit.samples)

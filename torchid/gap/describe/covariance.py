@@ -1,4 +1,4 @@
-"""How well the coefficients and shapes of what is told are known, all of them together."""
+"""How well the coefficients and shapes of causes are known, all of them together."""
 
 from torchid.effects.inertia import LinkInertia
 from torchid.effects.registry import EVENTS

@@ -78,8 +78,8 @@ def _widths(
     seen, squares, ratio = values.clamp(min=0).numpy(), pull.square().numpy(), WIDTHS[:, None] ** 2
     explained = (ratio * squares / (1 + ratio * seen)).sum(1)
     noise = np.maximum(1 - explained / max(size, 1.0), 1e-9)
-    told = -0.5 * np.log1p(ratio * seen).sum(1) - 0.5 * size * np.log(noise)
-    weight = np.exp(told - logsumexp(told))
+    likelihood = -0.5 * np.log1p(ratio * seen).sum(1) - 0.5 * size * np.log(noise)
+    weight = np.exp(likelihood - logsumexp(likelihood))
     return float(weight @ (WIDTHS**2 * noise)), float(weight @ noise)
 
 

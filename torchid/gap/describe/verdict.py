@@ -89,7 +89,9 @@ class Left:
         if not self.unexplained[j]:
             beside = f"{percent(share)} of its torque"
             # It is not worth a name, however large, where a saved model left as much before.
-            beside += ", as much as the model left on its own log" * (share > SMALL_ERROR)
+            saved = robot.knowledge is not None and robot.knowledge.left is not None
+            if saved and share > SMALL_ERROR:
+                beside += ", as much as the model left on its own log"
         return f"{digits(float(self.rms[j]))} {joint_unit(robot, j)} on joint {j + 1}, {beside}"
 
 
