@@ -73,7 +73,7 @@ def test_a_later_log_is_held_against_an_earlier_one(command, runs, tmp_path, typ
     said = json.loads(target.read_text())
     assert said["since"] == "a"
     assert [(w["effect"], w["when"]) for w in said["which"]] == [("coulomb_friction", "in both")]
-    assert "in a already" in " ".join(done.out.split())
+    assert "Lacking already in a: " in " ".join(done.out.split())
     # The log that was asked is beside the model, and is what the next one is held against.
     rows = tmp_path / "arm.rows.npz"
     assert rows.is_file()

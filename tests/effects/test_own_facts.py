@@ -13,7 +13,7 @@ from torchid.effects.friction import CoulombFriction, ViscousFriction
 from torchid.effects.friction_laws import StribeckFriction
 from torchid.effects.gravity import EncoderOffset, TorqueCrosstalk
 from torchid.effects.inertia import RotorInertia
-from torchid.effects.phase import TimeDelay
+from torchid.effects.phase import JointElasticity, TimeDelay
 from torchid.effects.registry import EVENTS, KINDS, experiment
 from torchid.effects.spring import JointSpring
 from torchid.effects.transient import Contact, Saturation
@@ -98,6 +98,8 @@ def test_a_secant_is_taken_at_the_estimate_and_nowhere_else() -> None:
     assert Backlash(1, at=2e-3).at_estimate([3e-3]) == Backlash(1, at=2e-3)
     assert TimeDelay(0, at=0.01).at_estimate([0.0]) == TimeDelay(0, at=0.01)
     assert ViscousFriction(0).at_estimate([0.3]) == ViscousFriction(0)
+    # A joint that stiffens under load swings ever more.
+    assert JointElasticity(0, at=1e-4).at_estimate([-1e-5]) == JointElasticity(0, at=1e-4)
 
 
 def test_identity_is_kind_and_place_whatever_the_shape() -> None:

@@ -62,11 +62,13 @@ def test_it_is_told_with_the_log_that_it_is_held_against() -> None:
         "coulomb_friction": "in both", "viscous_friction": "new"
     }  # fmt: skip
     # What is new is said first.
-    assert f"new since {answer.since}" in answer.headline
-    assert answer.headline.startswith("0.8 N m s/rad viscous friction on joint 3 (new since ")
+    new, lacking, *_ = answer.headline.split(". ")
+    assert new == f"New since {answer.since}: 0.8 N m s/rad viscous friction on joint 3"
+    assert lacking.startswith(f"Lacking already in {answer.since}: ")
+    assert "Coulomb friction on joint 2" in lacking
     cells = [row[4] for row in answer.rows()]
     assert any(cell.endswith(", new") for cell in cells)
-    assert any(cell.endswith(", in both") for cell in cells)
+    assert any(cell.endswith(", lacking already") for cell in cells)
 
 
 def test_without_an_earlier_log_nothing_is_said_of_it() -> None:

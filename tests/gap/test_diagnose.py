@@ -13,6 +13,7 @@ import torch
 
 from tests.gap.motions import ROBOT
 from tests.marks import quick_first
+from torchid.doctor.first import Doubts
 from torchid.effects.registry import FAMILIES, KINDS, nominal_effects
 from torchid.errors import LogError
 from torchid.excitation.synthetic import synthetic_log
@@ -274,6 +275,7 @@ def without_errors(found: TorqueDiagnosis) -> dict[str, object]:
     return {
         "causes": [repr(c) for c in causes],
         "effects": found.corrected.effects,
+        "known": repr(found.corrected.knowledge),
         "bodies": found.corrected.require_parameters("a test").pi.tolist(),
         "covariance": None if found.covariance is None else found.covariance.matrix.tolist(),
         "suspect": found.answer.main_suspect,
@@ -285,6 +287,7 @@ def noise_like(tau: Tensor) -> Tensor:
 
 
 HELD_OUT: dict[str, Callable[[Log], Log]] = {
+    "of no model": lambda log: log.replace(tau=3 * log.tau.flip(0)),
     "as it is": lambda log: log,
     "doubled": lambda log: log.replace(tau=2 * log.tau),
     "noisy": lambda log: log.replace(tau=log.tau + noise_like(log.tau)),
@@ -302,6 +305,14 @@ def test_held_out_data_choose_nothing(change):
     assert beside.causes
     assert beside.answer.after.how == "held out"
     assert beside.answer.left_out == alone.answer.after
+
+
+@pytest.mark.parametrize("held", [None, "of no model"])
+def test_a_doubt_is_settled_by_the_log_that_is_asked(held, monkeypatch):
+    """Whatever is held out: the causes take most of the error away on motions left out in turn."""
+    monkeypatch.setattr("torchid.gap.diagnose.ask_first", lambda *_, **__: Doubts(short="Late."))
+    apart = None if held is None else HELD_OUT[held](logged(REAL, (5,), 7))
+    assert diagnose(ROBOT, logged(REAL, (0, 1, 0)), held_out=apart, settings=QUICK).doubt == ""
 
 
 def test_a_cause_that_does_no_good_on_held_out_data_keeps_its_name_and_is_not_confirmed():

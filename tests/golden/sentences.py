@@ -26,7 +26,7 @@ from torchid.effects.servo import SERVO_KINDS
 from torchid.report.brief import Screen, model_words
 from torchid.report.page.answer import cause_line, first_steps
 from torchid.results.answer import LARGEST, MOST_VALUES, Answer, cause_cells
-from torchid.results.cause import LINK, common_name, cut_line, remedy_of
+from torchid.results.cause import LINK, WHENS, common_name, cut_line, remedy_of
 from torchid.results.record import decode
 from torchid.results.words import digits, effect_words, sure
 
@@ -134,12 +134,12 @@ def no_field_is_told_a_negative_number(answer: Answer, _: dict[str, Any]) -> Bre
             yield text
 
 
-def no_cause_makes_it_worse(answer: Answer, _: dict[str, Any]) -> Breaks:
+def what_takes_nothing_says_so(answer: Answer, _: dict[str, Any]) -> Breaks:
     """But where held-out data contradict all of them, which is the headline."""
     if answer.fails or not answer.confirmed:
         return
     for cause in answer.entries:  # forms of a joint's law may act against each other
-        if cause.share <= 0:
+        if cause.share <= 0 and "takes no error away" not in cause_cells((cause,))[0]:
             yield f"{cause.name} {cause.place} takes {cause.share:.2g}"
     if answer.causes and not answer.after.value < answer.before.value:
         yield f"{answer.before.size} -> {answer.after.size}"
@@ -176,8 +176,10 @@ def the_headline_has_sizes_and_places(answer: Answer, _: dict[str, Any]) -> Brea
         return
     if re.search(r"[(;] ?(or|likely) ", text):
         yield f"what is not sure: '{text}'"
+    kinds = list(WHENS)
     groups = sorted(
-        answer.groups(answer.entries), key=lambda same: -math.hypot(*map(answer.takes, same))
+        answer.groups(answer.entries),
+        key=lambda same: (kinds.index(same[0].when), -math.hypot(*map(answer.takes, same))),
     )
     named = [
         same
@@ -187,7 +189,7 @@ def the_headline_has_sizes_and_places(answer: Answer, _: dict[str, Any]) -> Brea
     if named != groups[: len(named)] or not (named or "perhaps " in text.lower()):
         yield f"not the largest: '{text}'"
     left = len(groups) - len(named)
-    if left and not re.search(rf"\b{left} (smaller|more)\b", text):
+    if left != sum(map(int, re.findall(r"\b(\d+) (?:smaller|more|causes?)\b", text))):
         yield f"not how many are smaller: '{text}'"
     if len(named) > LARGEST:
         yield f"too many: '{text}'"
@@ -239,7 +241,7 @@ RULES: dict[str, Callable[[Answer, dict[str, Any]], Breaks]] = {
     rule.__name__: rule
     for rule in (
         numbers_are_of_their_data, a_step_takes_something_away, no_field_is_told_a_negative_number,
-        no_cause_makes_it_worse, a_cause_has_one_probability, the_headline_has_sizes_and_places,
+        what_takes_nothing_says_so, a_cause_has_one_probability, the_headline_has_sizes_and_places,
         words_need_no_glossary, an_event_has_its_time, a_screen_is_one_screen,
     )
 }  # fmt: skip

@@ -1,6 +1,7 @@
 """What an answer states is what its errors say."""
 
 import json
+import math
 from pathlib import Path
 
 import msgspec
@@ -10,6 +11,7 @@ from tests.causes import errors, numbers
 from torchid.report.page.answer import cause_line
 from torchid.results.answer import Answer, JointError, cause_cells
 from torchid.results.cause import Cause, Size, Window, cut_line
+from torchid.results.friction import FrictionDetail, FrictionLaw
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "answers"
 
@@ -128,6 +130,31 @@ def test_a_gap_is_largest_where_it_is_most_beyond_noise(high, joint):
     assert said.endswith(f"It is largest on joint {joint}.")
 
 
+@pytest.mark.parametrize("measured", [False, True])
+def test_what_is_unexplained_is_said_with_its_size_and_what_to_record(measured):
+    said = answer(
+        status="detected_unexplained", causes=(), noise_measured=measured, noise=(0.04, math.nan),
+        unexplained="1.09 N m on joint 3, 25 times the least noise",
+    ).headline  # fmt: skip
+    end = "." if measured else "; record one motion twice."
+    assert said == (f"No known effect explains 1.09 N m on joint 3, 25 times the least noise{end}")
+
+
+@pytest.mark.parametrize(
+    ("status", "more", "words"),
+    [
+        ("no_gap", {}, "that this log can tell from noise"),
+        ("negligible", {}, "that matters"),
+        ("negligible", {"since": "a.csv"}, "that is new"),
+    ],
+)
+def test_what_is_small_is_not_called_noise(status, more, words):
+    said = answer(
+        status=status, causes=(), noise=(0.04, math.nan), reason="At most 1 N m.", **more
+    ).headline
+    assert said == f"No gap {words}: 10 N m (noise >= 0.04). At most 1 N m."
+
+
 def test_a_change_of_a_link_of_which_the_kind_alone_is_sure_has_the_kinds_name():
     cause = Cause(effect="link_inertia", joints=(2,), share=0.2, branch="inertia")
     said = answer(causes=(cause,)).headline
@@ -174,14 +201,14 @@ def test_likely_is_said_of_the_likeliest_alone(own, name, rivals):
         (
             0.48,
             0.45,
-            "torque gain or torque offset",
-            "torque gain or torque offset on joint 1 (gain",
+            "one of torque gain or torque offset",
+            "one of torque gain or torque offset on joint 1 (gain",
         ),
         (
             0.31,
             0.33,
-            "torque offset or torque gain",
-            "torque offset or torque gain on joint 1 (2 N m)",
+            "one of torque offset or torque gain",
+            "one of torque offset or torque gain on joint 1 (2 N m)",
         ),
     ],
 )
@@ -199,6 +226,101 @@ def test_a_set_has_the_name_that_the_set_is_sure_of(own, other, name, words):
     assert (cause.rivals == "") == (own < 0.5)
     assert bool(cause.known) == (own > other)
     assert cause_line(cause)[3] == ("could also be torque offset" if own > 0.5 else "")
+
+
+def test_a_part_of_a_curve_is_not_as_sure_as_the_curve():
+    """A law of position that no term of the library is: its probability is that of all of them."""
+    cause = Cause(
+        effect="cogging", joints=(0,), how_sure=0.8, ambiguous_with=("torque_ripple",),
+        probabilities={"cogging": 0.0},
+    )  # fmt: skip
+    assert cause.name == "one of cogging or torque ripple"
+
+
+WAS, NEW = ({"when": when} for when in ("in both", "new"))
+
+
+@pytest.mark.parametrize(
+    ("whens", "said"),
+    [
+        ((NEW, WAS), "New since may: 3 N m {0}. Lacking already in may: 4 N m {1}."),
+        ((WAS, NEW), "New since may: 4 N m {1}. Lacking already in may: 3 N m {0}."),
+        ((WAS, WAS), "Nothing is new since may. Lacking already in may: 4 N m {1} and 3 N m {0}."),
+        ((NEW, NEW), "New since may: 4 N m {1} and 3 N m {0}."),
+        (
+            ({}, WAS),
+            "Nothing is surely new since may. New or lacking already in may: 3 N m {0}. "
+            "Lacking already in may: 4 N m {1}.",
+        ),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_what_is_new_and_what_was_lacking_share_no_sentence(whens, said, confirmed):
+    effects = {"coulomb_friction": 3.0, "torque_offset": 4.0}
+    causes = tuple(
+        Cause(
+            effect=effect, joints=(k,), share=size / 20, **when,
+            **numbers(Size(name="F", unit="N m", value=size)),
+        )
+        for k, ((effect, size), when) in enumerate(zip(effects.items(), whens, strict=True))
+    )  # fmt: skip
+    of = answer(causes=causes, since="may", **({} if confirmed else {"closed": None}))
+    said = said.format("Coulomb friction on joint 1", "torque offset on joint 2")
+    if not confirmed:
+        said = said.replace("may:", "may, not confirmed:")
+    assert of.headline.startswith(f"{said} Error 10 -> 8 N m on motions left out")
+    legend = of.legend(of.headline)
+    assert ("not there in that log" in legend) == ("ew since" in said)
+    assert ("there in that log as well" in legend) == ("acking already" in said)
+    cells = [cause_cells((c,))[0] for c in causes]
+    ends = {"new": ", new", "in both": ", lacking already"}
+    assert all(
+        c.endswith(ends.get(w.get("when"), "N m")) for c, w in zip(cells, whens, strict=True)
+    )
+
+
+def test_what_unexplained_says_stands_beside_it():
+    of = answer(status="detected_unexplained")
+    assert "; rest unexplained" in of.headline
+    assert of.legend(of.headline).startswith("Unexplained: more than noise may be")
+    assert answer().legend(answer().headline) == ""
+
+
+def test_short_of_room_causes_of_each_kind_are_counted():
+    effects = ("torque_offset", "viscous_friction", "joint_spring", "torque_ripple", "filter_lag")
+    causes = tuple(
+        Cause(effect=e, joints=(0,), share=0.01, when="new" if k < 2 else "in both")
+        for k, e in enumerate(effects)
+    )
+    said = answer(causes=causes, since="a_log_with_a_name_that_is_long_enough").headline
+    new, lacking, *_ = said.split(". ")
+    assert " and 1 more" in new
+    assert lacking.endswith(": 3 causes")
+
+
+def test_a_law_is_told_apart_from_what_is_new_in_it():
+    effects = ("viscous_friction", "coulomb_friction")
+    law = FrictionLaw(
+        joint=0, how_sure=0.9, share=0.3, unnamed=0.1, removes=(3.0,), unit="N m",
+        speed_unit="rad/s", at=(),
+        details=(FrictionDetail(detail="", effects=effects, how_sure=0.9),),
+    )  # fmt: skip
+    new, was = (
+        Cause(effect=effect, joints=(0,), share=0.1, when=when)
+        for effect, when in [("viscous_friction", "new"), ("coulomb_friction", "in both")]
+    )
+    entries = answer(causes=(new, was), friction=(law,), since="may").entries
+    # The law's numbers are of both together, and stand beside neither.
+    assert entries == (new, was)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.0, -0.1, math.nan])
+def test_what_takes_nothing_away_says_so(share):
+    """A cause has its name all the same: it is there, and others do more without it."""
+    size = Size(name="F", unit="N m", value=2.0, std=0.1)
+    cause = Cause(effect="torque_offset", joints=(0,), share=share, **numbers(size))
+    assert ("takes no error away" in cause.values()) == (share <= 0)
+    assert answer().takes(cause) >= 0
 
 
 def test_a_line_that_cuts_events_has_the_brackets_that_it_needs():

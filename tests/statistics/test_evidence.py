@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from torchid.statistics.criteria import DOUBT, EXPECTED
 from torchid.statistics.evidence import (
+    CONVERGED,
     beside,
     in_slabs,
     most_sure,
@@ -64,6 +65,26 @@ def test_coefficients_are_those_of_the_posterior(seed: int, count: int) -> None:
         0.5 * (right @ precision @ right + determinant), rel=1e-6, abs=1e-9
     )
     assert losses == floor
+
+
+@pytest.mark.parametrize(("joints", "count", "rows"), [(1, 60, 70), (2, 20, 15)])
+@pytest.mark.parametrize("seed", [3, 4, 11, 20])
+def test_rounds_end_by_the_evidence(joints: int, count: int, rows: int, seed: int) -> None:
+    """Of many coefficients beside few samples each round changes what is left by little, and many
+    rounds by much."""
+    rng = np.random.default_rng(seed)
+    full = rng.normal(size=(joints, count + 1, rows))
+    g = full @ full.transpose(0, 2, 1)
+    samples, floor = np.full(joints, float(rows)), np.full(joints, 1e-6)
+    _, losses, half = solved(g, samples, floor)
+    left = g[:, -1, -1]
+    for _ in range(3000):
+        h = np.eye(count) + np.tensordot(samples / left, g[:, :-1, :-1], 1)
+        z = np.linalg.solve(h, (samples / left) @ g[:, :-1, -1])
+        v = np.append(z, -1.0)
+        left = np.maximum((g @ v) @ v, floor)
+    ends = 0.5 * np.linalg.slogdet(h)[1] + 0.5 * z @ z + 0.5 * samples @ np.log(left)
+    assert half + 0.5 * samples @ np.log(losses) == pytest.approx(ends, abs=CONVERGED)
 
 
 @given(

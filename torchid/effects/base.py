@@ -269,15 +269,23 @@ class Effect(ABC):
 
     def coefficient_names(self) -> list[str]:
         """Names with the joint's number, e.g. `Fv3`; `C2_4` on joint 2 from joint 4."""
-        place = "_".join(str(j + 1) for j in self.identity[1])
-        return [f"{c.name}{place}" for c in self.coefficients]
+        return [f"{c.name}{self._place}" for c in self.coefficients]
+
+    def shape_names(self) -> list[str]:
+        """Names of the shapes with the joint's number, e.g. `vs3`."""
+        return [f"{s.name}{self._place}" for s in self.shapes]
+
+    @property
+    def _place(self) -> str:
+        return "_".join(str(j + 1) for j in self.identity[1])
 
     def at_estimate(self, values: Sequence[float]) -> "Effect":
         """The effect with its secant taken at the estimated coefficient; itself where it is not
-        `linearised`, or the estimate is zero."""
-        if not self.linearised or not abs(float(values[0])) > 0:
+        `linearised`, or the estimate is zero or one that no arm has."""
+        value, (least, most) = float(values[0]), self.ranges[0]
+        if not self.linearised or value == 0 or not least <= value <= most:
             return self
-        return replace(self, at=float(values[0]))  # type: ignore[call-arg]
+        return replace(self, at=value)  # type: ignore[call-arg]
 
     @property
     def law(self) -> str:

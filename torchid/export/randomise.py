@@ -11,6 +11,7 @@ that the log leaves, given that the arm exists. Where hardly any draw is a body,
 that are nearest in torque and to the robot as given.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -155,9 +156,10 @@ class _Explained:
     Attributes:
         pi: (10 n,) of its model, loads included.
         pairs: its effects but bodies.
-        root: (K, R) of the covariance of its K coefficients.
+        root: (K, R) of the covariance of its K coefficients and shapes.
         body, at_body: (K,) which coefficients are of bodies, and (those,) where in `pi`.
-        places: per coefficient (effect, coefficient) numbers among `pairs`; none of bodies.
+        places: per coefficient or shape (effect, coefficient) numbers among `pairs`, shapes behind
+            coefficients; none of bodies.
     """
 
     pi: Float[Tensor, " P"]
@@ -176,7 +178,8 @@ class _Explained:
             names = LinkInertia(link).coefficient_names()
             known |= {(LinkInertia.name, x): (10 * link + k, None) for k, x in enumerate(names)}
         for effect, values in pairs:
-            own = [(effect.name, name) for name in effect.coefficient_names()]
+            names = [*effect.coefficient_names(), *effect.shape_names()]
+            own = [(effect.name, name) for name in names]
             if (own_link := effect.body(model)) is not None:
                 robot = carrying(robot, [(effect, values)])
                 first = PARAMETERS_PER_LINK * own_link
@@ -202,15 +205,25 @@ class _Explained:
         )
 
     def effects(self, step: Float[Tensor, " K"] | None) -> tuple[Valued, ...]:
-        """The effects with coefficients a step away, which keep the signs that physics asks for."""
+        """The effects with coefficients and shapes a step away, which keep the signs that physics
+        asks for."""
         values = [list(v) for _, v in self.pairs]
+        shapes: list[dict[str, float]] = [{} for _ in self.pairs]
         for own, by in zip(self.places, [] if step is None else step.tolist(), strict=False):
             for i, c in own:
-                values[i][c] += by
+                effect, count = self.pairs[i][0], len(values[i])
+                if c < count:
+                    values[i][c] += by
+                    continue
+                shape, value = effect.shapes[c - count], effect.shape_values[c - count]
+                # What is refined in ratios stays on its side of zero.
+                ratio = shape.logarithmic
+                shapes[i][shape.name] = value * math.exp(by / value) if ratio else value + by
         for (effect, _), v in zip(self.pairs, values, strict=True):
             signed = [c.non_negative for c in effect.coefficients]
             v[:] = [max(0.0, x) if s else x for x, s in zip(v, signed, strict=True)]
-        return tuple((e, v) for (e, _), v in zip(self.pairs, values, strict=True))
+        pairs = zip(self.pairs, shapes, values, strict=True)
+        return tuple((replace(e, **to), v) for (e, _), to, v in pairs)
 
 
 def _are_bodies(pi: Float[Tensor, "*D n 10"], least: Float[Tensor, "n 10"]) -> Bool[Tensor, "*D"]:

@@ -1,7 +1,8 @@
 """Causes as they are told: effects with their numbers on the arm, beside what the file has."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from types import MappingProxyType
 from typing import Any
 
 from torchid.design.columns import Model
@@ -21,7 +22,13 @@ INERTIA_REMEDY = (
 
 
 def effect_cause(
-    fitted: Valued, std: Sequence[float], given: Model, corrected: Model, main: int, **more: Any
+    fitted: Valued,
+    std: Sequence[float],
+    given: Model,
+    corrected: Model,
+    main: int,
+    shapes: Mapping[str, float] = MappingProxyType({}),
+    **more: Any,
 ) -> Cause:
     """An effect as a cause.
 
@@ -31,6 +38,7 @@ def effect_cause(
         std: standard deviations of the coefficients.
         given, corrected: the models before and after.
         main: number of the coefficient that makes most of its torque.
+        shapes: standard deviations of the shapes that were fitted with them, by name.
         more: fields of the cause; its `joints` if it belongs to the whole arm.
     """
     effect, values = fitted
@@ -60,7 +68,7 @@ def effect_cause(
         joints=joints,
         parameters=plain(numbers),
         file={} if file is None else dict(zip(names, file, strict=True)),
-        std=plain(dict(zip(names, std, strict=True))),
+        std=plain(dict(zip(names, std, strict=True)) | dict(shapes)),
         unit={k: unit_of(u, where, given.robot) for k, u in units},
         shape=tuple(name for name in numbers if name in {s.name for s in effect.shapes}),
         places=tuple(name for name in numbers if name in PLACES),

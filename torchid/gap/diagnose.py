@@ -139,8 +139,11 @@ def diagnose(
         else:
             found = _of_positions(robot, handed.pop(), held_out, settings, servo, pace, watch)
     answer = found.answer
+    less = answer.less
+    if isinstance(found, TorqueDiagnosis) and found.how_far.left_out is not None:
+        less = found.how_far.left_out.less
     # 0.9: share of the error that a diagnosis takes away where it has answered what was doubted
-    settled = answer.status in ("no_gap", "negligible") or answer.less >= 0.9
+    settled = answer.status in ("no_gap", "negligible") or less >= 0.9
     text = "" if settled and not doubts.wrong else doubts.short or doubts.foreign
     text = text or of_earlier
     # What the doctor has decided is said once.

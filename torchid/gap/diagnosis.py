@@ -197,7 +197,7 @@ class HowFar:
         closed_ci95: what it may be on other motions, where the log has three different ones or
             more: of resampled motions and blocks of them; else of resampled blocks.
         judged: the data.
-        left_out: the error after on motions left out in turn, where others were held out.
+        left_out: the same on motions left out in turn, where others were held out.
     """
 
     rms_before: Float[Tensor, " n"]
@@ -205,12 +205,16 @@ class HowFar:
     closed: float | None
     closed_ci95: tuple[float, float] | None
     judged: JudgedOn = field(default=LEFT_OUT, kw_only=True)
-    left_out: Error | None = field(default=None, kw_only=True)
+    left_out: "HowFar | None" = field(default=None, kw_only=True)
 
     @property
     def less(self) -> float:
         """Share of the error that is gone, whatever of it is noise; none where it grows."""
         return max(0.0, float(1 - self.rms_after.norm() / self.rms_before.norm()))
+
+    def after(self, unit: str) -> Error:
+        """The whole error after, on the data that judge it."""
+        return self.judged.error(float(self.rms_after.norm()), unit)
 
 
 @dataclass(frozen=True)
@@ -239,6 +243,8 @@ class TorqueDiagnosis(Diagnosis):
         small: effects that are there and below what was asked for.
         suspects: the likeliest causes that are not sure enough to be named, the likeliest first.
         knowledge: what was known of the model before, and what this log adds.
+        remainder: what is left on the worst joint, on data it was not fitted on, that is
+            unexplained, or at least more than noise may be; empty where nothing is.
         doubt: what speaks against the log, which the headline says first.
         since: the earlier log that causes are held against; absent without one.
         stopped_after: when the search was stopped for want of time; absent of a whole one.
@@ -268,6 +274,7 @@ class TorqueDiagnosis(Diagnosis):
     small: tuple[Cause, ...] = ()
     suspects: tuple[Cause, ...] = ()
     knowledge: Known | None = None
+    remainder: str = ""
     doubt: str = ""
     since: str | UnsetType = UNSET
     stopped_after: Stopped | UnsetType = UNSET
@@ -342,8 +349,8 @@ class TorqueDiagnosis(Diagnosis):
             error="the gap",
             unit=unit,
             before=far.judged.error(float(far.rms_before.norm()), unit),
-            after=far.judged.error(float(far.rms_after.norm()), unit),
-            left_out=far.left_out,
+            after=far.after(unit),
+            left_out=None if far.left_out is None else far.left_out.after(unit),
             noise=floor.total,
             closed=far.closed,
             closed_ci95=far.closed_ci95,
@@ -361,6 +368,7 @@ class TorqueDiagnosis(Diagnosis):
             suspects=self.suspects,
             small=self.small,
             reason=self._reason,
+            unexplained=(self.status == "detected_unexplained" and self.remainder) or UNSET,
             doubt=self.doubt or UNSET,
             since=self.since,
             stopped=UNSET if self.stopped_after is UNSET else True,
@@ -372,11 +380,13 @@ class TorqueDiagnosis(Diagnosis):
         if self.causes:
             return ""
         if self.since:
-            return f"Nothing is new since {self.since}."
+            left = f": {self.remainder}" if self.status == "negligible" and self.remainder else ""
+            return f"Nothing is new since {self.since}{left}."
         hiding = [j for j in self.knowledge.joints if j.hides] if self.knowledge else []
         if self.status == "negligible":
-            small = (f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small)
-            return f"Small: {listed(small, most=2)}."
+            small = [f"{effect_words(e.effect)} of {joints_words(e.joints)}" for e in self.small]
+            most = f"More than noise may be, at most: {self.remainder}."
+            return f"Small: {listed(small, most=2)}." if small else most
         if self.status == "not_testable" and hiding:
             where = listed(str(j.joint + 1) for j in hiding)
             return f"the model was not sure enough of joint {where}, where a cause can hide."

@@ -57,6 +57,12 @@ class Problem:
         return self.given.model.robot
 
     @property
+    def as_cad(self) -> bool:
+        """Whether parameters were given that nobody vouches for."""
+        unknown = self.wanted.knowledge is None and self.settings.parameters == "auto"
+        return unknown and not self.fitted_first
+
+    @property
     def left_out(self) -> JudgedOn:
         """The log that is searched, each part of it in its turn: data that decide."""
         return JudgedOn.by_names((s.name for s in self.data.segments), "left out in turn")

@@ -41,7 +41,8 @@ Status = Literal[
     "detected_unexplained",
     "not_testable",
 ]
-"""Of a gap: `negligible` is there, with causes that are smaller than what was asked for."""
+"""Of a gap: `negligible` is there, with causes that are smaller than what was asked for, or with an
+error that is no noise and small beside the torque."""
 
 Regime = Literal["rest", "slow", "fast", "reversal"]
 """Of a joint's motion: each a part of the time."""

@@ -34,7 +34,7 @@ from torchid.gap.describe.model import Explanation
 from torchid.gap.describe.shares import shares_of
 from torchid.gap.describe.unnamed import causes_of_few_runs, small_effects, without_name
 from torchid.gap.describe.unseen import next_experiment, not_testable
-from torchid.gap.describe.verdict import status_of, warnings_of
+from torchid.gap.describe.verdict import Left, status_of, warnings_of
 from torchid.gap.describe.where import where
 from torchid.gap.diagnosis import TorqueDiagnosis
 from torchid.gap.early import Watch, telling
@@ -175,20 +175,27 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         far = replace(far, closed=None, closed_ci95=None)  # nothing is there that could close it
     if far.closed is not None:
         shares = budget(final.refitted, final.shown, final.noise.floor)
+    least = found.worth(checked.far.rms_before.square())
+    left = Left.of(checked, least)
+    status = status_of(
+        said,
+        checked,
+        final,
+        left,
+        least,
+        decision.unnamed_squares(falls),
+        hides or is_poor(found, unseen),
+        shown=all(t.shown for t in found.terms),
+        taken=decision.taken_back or harmful,
+        small=bool(small),
+    )
+    # Of what is unexplained, or small; what else is wrong has words of its own.
+    said_so = status == "negligible" or bool(left.unexplained.any())
+    remainder = left.words(problem.robot) if said_so else ""
     return TorqueDiagnosis(
         robot=problem.given.model.described(),
         corrected=replace(recommended, knowledge=after),
-        status=status_of(
-            said,
-            checked,
-            final,
-            found.worth(checked.far.rms_before.square()),
-            decision.unnamed_squares(falls),
-            hides or is_poor(found, unseen),
-            shown=all(t.shown for t in found.terms),
-            taken=decision.taken_back or harmful,
-            small=bool(small),
-        ),
+        status=status,
         joints=joints,
         regimes=regimes,
         causes=said.causes,
@@ -202,7 +209,8 @@ def describe_diagnosis(decision: Decision, explained: Explained, pace: Pace) -> 
         cutoff=data.samples.cutoff,
         settings=settings,
         refitted=problem.wanted.free,
-        warnings=ordered(warnings_of(decision, said.causes, cost)),
+        warnings=ordered(warnings_of(decision, said.causes, cost, left)),
+        remainder=remainder,
         friction=friction_laws(decision, falls, said.causes),
         covariance=covariance_of(found.solution),
         residual=residuals(final.shown),

@@ -107,7 +107,7 @@ class Screen:
             text, how_sure, _ = cause_cells(same)
             said.append(f"{answer.where(same)}: {text}{_bracket(how_sure)}")
             yield Text(visible(said[-1]))
-        if legend := answer.legend(" ".join(said)):
+        if legend := answer.legend(" ".join([answer.headline, *said])):
             yield Text(visible(legend), "italic")
         for k, step in enumerate(first_steps(answer, self.robot)[: detail.remedies]):
             yield Text(visible(f"{'Then' if k else 'Do first'}: {step}"))

@@ -27,7 +27,7 @@ from torchid.typing import Tensor
 
 NOTES = {
     "identifications": "A value without ± was held there by the fit",
-    "gap diagnoses": "A value without ± is a shape of the effect",
+    "gap diagnoses": "A value without ± is a shape that was not fitted",
     "position diagnoses": "A value without ± was given, or is of an older file",
     "parameter sets": "± is the spread of a file's sets: how far they leave a value open",
 }

@@ -85,7 +85,8 @@ def known_table(record: GapRecord) -> Table:
         for c in known.coefficients
     ]
     title = f"known: what this log adds to {', '.join(known.sources)}"
-    return table_of(title, known.coefficients, "words before after", beside={"": moved})
+    note = "changed: by more than the standard deviations leave open" * ("changed" in moved)
+    return table_of(title, known.coefficients, "words before after", note, beside={"": moved})
 
 
 def open_table(record: GapRecord) -> Table:

@@ -21,10 +21,12 @@ from torchid.files import UNCONFIRMED
 from torchid.notebooks import html_table
 from torchid.results.agreement import RunValue
 from torchid.results.cause import (
+    GLOSSES,
     LINK,
     WHENS,
     Cause,
     Error,
+    When,
     common_name,
     law_sizes,
     remedy_of,
@@ -34,6 +36,7 @@ from torchid.results.friction import FrictionLaw
 from torchid.results.record import Ends, Joint, Part, Real, Record, Result, Rows
 from torchid.results.words import (
     PAYLOAD,
+    count,
     digits,
     effect_words,
     joint_labels,
@@ -182,6 +185,9 @@ class Answer(Part, frozen=True, kw_only=True):
             settle them.
         small: causes that are sure and remove less than was asked for.
         reason: why nothing is named, where that is so.
+        unexplained: what is left on the worst joint that no cause and no noise explains: without
+            repeats more than 3 % of its torque, and three times the least noise; absent where there
+            is none.
         doubt: what speaks against the log, said first; absent where nothing does.
         since: the earlier log that causes are held against; absent without one.
         stopped: whether most causes were not looked for, for want of time; absent of a whole one.
@@ -205,6 +211,7 @@ class Answer(Part, frozen=True, kw_only=True):
     suspects: tuple[Cause, ...] = ()
     small: tuple[Cause, ...] = ()
     reason: str = ""
+    unexplained: str | UnsetType = UNSET
     doubt: str | UnsetType = UNSET
     since: str | UnsetType = UNSET
     stopped: bool | UnsetType = UNSET
@@ -239,9 +246,11 @@ class Answer(Part, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, glosses=glosses(names))
 
     def legend(self, text: str) -> str:
-        """`Cogging: torque that ripples over position.`, of the names that stand in a text."""
+        """`Cogging: torque that ripples over position.`, of the names that stand in a text, and of
+        words beside them."""
         said = text.lower()
-        words = ((effect_words(name), gloss) for name, gloss in self.glosses.items())
+        names = ((effect_words(name), gloss) for name, gloss in self.glosses.items())
+        words = (*names, *GLOSSES.items())
         every = "; ".join(f"{name}: {gloss}" for name, gloss in words if name.lower() in said)
         return f"{every[:1].upper()}{every[1:]}." if every else ""
 
@@ -309,9 +318,10 @@ class Answer(Part, frozen=True, kw_only=True):
     def _without_cause(self) -> str:
         """Why nothing is named."""
         size, noise = self.before.size, span(self.noise)
-        none = {"no_gap": "beyond noise", "negligible": "that matters"}
+        small = "that is new" if self.since else "that matters"
+        none = {"no_gap": "beyond noise", "negligible": small}
         if math.isnan(self.noise[1]):  # noise may be all of it, and need not be
-            none = dict.fromkeys(none, "that this log can tell from noise")
+            none["no_gap"] = "that this log can tell from noise"
         said = {k: f"No gap {words}: {size} (noise {noise})." for k, words in none.items()}
         said["not_testable"] = "This log cannot show what causes a gap:"
         worst = max(self.joints, key=lambda j: j.beyond_noise)
@@ -319,8 +329,12 @@ class Answer(Part, frozen=True, kw_only=True):
         gap = f"No known effect explains {self.error} of {size}"
         if self.stopped is not UNSET:
             gap = f"Most causes of {self.error} of {size} were not looked for in the time"
-        gap += "." if self.doubt else f" (noise {noise})."
-        gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
+        if self.unexplained and not (self.doubt or self.stopped):
+            gap = f"No known effect explains {self.unexplained}"
+            gap += "." if self.noise_measured else "; record one motion twice."
+        else:
+            gap += "." if self.doubt else f" (noise {noise})."
+            gap += f" It is largest on joint {worst.joint + 1}." if len(self.joints) > 1 else ""
         text = f"{said.get(self.status, gap)} {self.reason}".rstrip()
         if self.suspects and self.status in ("detected_unexplained", "not_testable"):
             why = "No cause is sure." if self.status == "detected_unexplained" else text
@@ -328,7 +342,8 @@ class Answer(Part, frozen=True, kw_only=True):
         return text
 
     def _of_causes(self) -> str:
-        """The largest causes with sizes and places, and how far all of them lower the error."""
+        """The largest causes with sizes and places, and how far all of them lower the error; beside
+        an earlier log what is new, and what the model lacked already, in a sentence each."""
         after = self.after
         change = f"error {digits(self.before.value)} -> {after.size} {after.words}"
         if self.confirmed:
@@ -343,24 +358,51 @@ class Answer(Part, frozen=True, kw_only=True):
                 change += "; rest unexplained"
             change += ")"
 
-        def order(same: Sequence[Cause]) -> tuple[bool, float]:
-            return same[0].when == "in both", -math.hypot(*map(self.takes, same))
+        kinds = list(WHENS)
+
+        def order(same: Sequence[Cause]) -> tuple[int, float]:
+            return kinds.index(same[0].when), -math.hypot(*map(self.takes, same))
 
         groups = sorted(self.groups(self.entries), key=order)
         first = self.main_suspect
         perhaps = [] if first is None else [f"perhaps {first.name} {first.place}".rstrip()]
         fewest = 0 if perhaps else 1
-        word = "more" if self.since or perhaps else "smaller"
         for most, values in product(range(LARGEST, fewest - 1, -1), MOST_VALUES):
-            smaller = len(groups) - most
-            names = [*perhaps, *(self.sized(same, values) for same in groups[:most])]
-            others = [f"{smaller} {word}"] if smaller > 0 else []
-            text = listed([*names, *others])
-            text = text if self.confirmed else f"not confirmed: {text}"
-            text = f"{text[:1].upper()}{text[1:]}: {change}."
+            named = [self.sized(same, values) for same in groups[:most]]
+            if self.since:
+                text = f"{self._since(groups, named, perhaps)} {change[:1].upper()}{change[1:]}."
+            else:
+                left = [f"{len(groups) - most} {'more' if perhaps else 'smaller'}"]
+                text = listed([*perhaps, *named, *left * (len(groups) > most)])
+                text = text if self.confirmed else f"not confirmed: {text}"
+                text = f"{text[:1].upper()}{text[1:]}: {change}."
             if len(wrap(text, LINE)) <= LINES:
                 break
         return text
+
+    def _since(
+        self, groups: Sequence[Sequence[Cause]], named: Sequence[str], perhaps: Sequence[str]
+    ) -> str:
+        """`New since monday: A and B. Lacking already in monday: C.`; what is new and what is not
+        share no sentence.
+
+        Args:
+            groups: all causes, the first of which are `named`.
+            named: in words.
+            perhaps: a suspect in words, of which it is open whether it is new.
+        """
+        out, unsure = [], bool(perhaps) or any(same[0].when is UNSET for same in groups)
+        for when, (word, of) in WHENS.items():
+            own = [k for k, same in enumerate(groups) if same[0].when == when]
+            said = [*(perhaps if when is UNSET else ()), *(named[k] for k in own if k < len(named))]
+            if left := sum(k >= len(named) for k in own):
+                said.append(f"{left} more" if said else count(left, "cause"))
+            if said:
+                end = "" if self.confirmed else ", not confirmed"
+                out.append(f"{word.capitalize()} {of} {self.since}{end}: {listed(said)}.")
+            elif when == "new":
+                out.append(f"Nothing is {'surely ' * unsure}new since {self.since}.")
+        return " ".join(out)
 
     def _so_far(self) -> str:
         """Headline of a search that goes on: where the error is, and what removes most of it."""
@@ -378,13 +420,15 @@ class Answer(Part, frozen=True, kw_only=True):
         return text
 
     def takes(self, cause: Cause) -> float:
-        """How much of the arm's error a cause takes away; of positions of its joints' error."""
+        """How much of the arm's error a cause takes away, nothing at least; of positions of its
+        joints' error."""
         if math.isnan(cause.share):
             return 0.0
         if not self.of_positions:
-            return cause.share * self.before.value
+            return max(cause.share, 0.0) * self.before.value
         own = [j for j in self.joints if (j.joint in cause.at or not cause.at) and not j.still]
-        return max((min(cause.share * j.before, j.before - j.after) for j in own), default=0.0)
+        each = (min(cause.share * j.before, j.before - j.after) for j in own)
+        return max((x for x in each if x > 0), default=0.0)
 
     def sized(self, same: Sequence[Cause], values: int = MOST_VALUES[0]) -> str:
         """`8.03 N m Coulomb friction on joint 2`, `torque gain on all joints (gain = 0.3)`; of what
@@ -403,7 +447,6 @@ class Answer(Part, frozen=True, kw_only=True):
             name += f" on {self.where(same)}"
         if first.window is not UNSET:
             name += f" {first.window.words}" if len(same) == 1 else f", {len(same)} times"
-        name += f" ({WHENS[first.when].format(self.since)})" if first.when else ""
         size = first.known[0].sharp if first.known and len(same) == 1 else None
         if first.law is not UNSET:
             inner = law_sizes([c.law for c in same if c.law is not UNSET])
@@ -425,28 +468,28 @@ class Answer(Part, frozen=True, kw_only=True):
 
     @property
     def entries(self) -> tuple[Cause, ...]:
-        """The causes as people see them: several that are friction of one joint are its law."""
-        laws = {law.joint: law for law in self.friction}
-        own: dict[Joint, list[Cause]] = {}
+        """The causes as people see them: several that are friction of one joint are its law, apart
+        from those that are new."""
+        laws, merged, gone = {law.joint: law for law in self.friction}, list[Cause](), list[Cause]()
+        own: dict[Joint, dict[When | UnsetType, list[Cause]]] = {}
         for cause in self.causes:
             joint = cause.at[0] if len(cause.at) == 1 else -1
             if joint in laws and laws[joint].has(cause.effect):
-                own.setdefault(joint, []).append(cause)
-        several = {
-            joint: causes
-            for joint, causes in own.items()
-            if len(causes) > 1 or laws[joint].unnamed > 0
-        }
-        if not several:
-            return self.causes
-        out = [c for c in self.causes if not any(c in several.get(j, ()) for j in c.at[:1])]
-        for joint, causes in several.items():
-            law, whole = laws[joint], laws[joint].unnamed + sum(c.share for c in causes)
+                own.setdefault(joint, {}).setdefault(cause.when, []).append(cause)
+        for joint, whens in own.items():
+            law, (when, causes) = laws[joint], next(iter(whens.items()))
+            # The law's numbers are of all of it: of what is new and what was there none are.
+            if len(whens) > 1 or (len(causes) == 1 and law.unnamed <= 0):
+                continue
+            gone += causes
             one = Cause(
-                effect="friction", joints=(joint,), how_sure=law.how_sure, share=whole,
-                remedy=REMEDY, law=law,
+                effect="friction", joints=(joint,), how_sure=law.how_sure, when=when,
+                share=law.unnamed + sum(c.share for c in causes), remedy=REMEDY, law=law,
             )  # fmt: skip
-            out.append(one)
+            merged.append(one)
+        if not merged:
+            return self.causes
+        out = [*(c for c in self.causes if not any(c is x for x in gone)), *merged]
         return tuple(sorted(out, key=lambda c: 0.0 if math.isnan(c.share) else -c.share))
 
     def groups(self, causes: Sequence[Cause]) -> Iterator[list[Cause]]:
@@ -633,7 +676,7 @@ def cause_cells(same: Sequence[Cause]) -> tuple[str, str, str]:
     first = same[0]
     known = [c.how_sure for c in same if c.how_sure is not None]
     end = (sure(min(known, default=None)), remedy_of(same, short=True))
-    when = f", {first.when}" if first.when else ""
+    when = f", {WHENS[first.when][0]}" if first.when else ""
     if len(same) == 1:
         name = "inertia" if first.effect == LINK and first.at else first.name
         return (f"{name} {first.values()}".rstrip() + first.rivals + when, *end)

@@ -29,7 +29,6 @@ from torchid.results.words import (
     sure,
     unit_behind,
     unit_words,
-    value_words,
 )
 from torchid.results.words import LINK as LINK  # asked by all that tell of causes
 from torchid.statistics.criteria import LIKELY
@@ -51,8 +50,18 @@ without the part that it is judged on; by a model that none of them took part in
 
 When = Literal["new", "in both"]
 """Of a cause, beside an earlier log: whether it came since, or the model lacked it already."""
-WHENS: dict[When, str] = {"new": "new since {}", "in both": "in {} already"}
-"""That, with the log's name."""
+WHENS: dict[When | UnsetType, tuple[str, str]] = {
+    "new": ("new", "since"), UNSET: ("new or lacking already", "in"),
+    "in both": ("lacking already", "in"),
+}  # fmt: skip
+"""That in words, and the one before the log's name, in the order of a sentence; unset where neither
+is likely."""
+GLOSSES = {
+    "new since": "not there in that log, or less",
+    "lacking already": "there in that log as well, so the model lacks it and the arm is as it was",
+    "unexplained": "more than noise may be, and of no cause that is known",
+}
+"""What words say that stand beside causes."""
 
 Role = Literal["named", "suspect", "small"]
 """What is told of a cause: its name; that it is not sure enough for one; that it is sure, and
@@ -233,7 +242,8 @@ class Cause(Part, frozen=True, kw_only=True):
         probabilities: of each of that set and of it alone, by name, where they are known [1].
         parameters: its numbers on the arm by name: coefficients, shapes and places.
         file: what the robot's file has of the coefficients; empty of an effect that it has not.
-        std: standard deviations of the coefficients; null where the data do not determine one.
+        std: standard deviations of the coefficients, and of shapes that were fitted with them; null
+            where the data do not determine one.
         unit: of coefficients and shapes; `1` of plain numbers.
         shape, places: which of the parameters are shapes, and which places.
         main: the coefficient that makes most of its torque in these logs.
@@ -319,7 +329,8 @@ class Cause(Part, frozen=True, kw_only=True):
         itself: then the set has the name, for the probability is the set's. Else its own."""
         if not self.one_of_a_set:
             return (self.effect,)
-        return tuple(sorted(self.probabilities, key=lambda name: -self.probabilities[name]))
+        every = dict.fromkeys((self.effect, *self.ambiguous_with), 0.0) | self.probabilities
+        return tuple(sorted(every, key=lambda name: -every[name]))
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -327,7 +338,8 @@ class Cause(Part, frozen=True, kw_only=True):
         return tuple(
             Size(name, self.unit.get(name, ""), float(value), std, self.file.get(name))
             for name, std in sorted(self.std.items(), key=lambda item: item[0] != self.main)
-            if isinstance(value := self.parameters.get(name), float | int)
+            if name not in self.shape
+            and isinstance(value := self.parameters.get(name), float | int)
         )
 
     @property
@@ -337,7 +349,7 @@ class Cause(Part, frozen=True, kw_only=True):
         lines = [
             *(s.named for s in self.sizes if s.determined),
             *(f"{s.name}, not determined" for s in self.sizes if not s.determined),
-            *(f"{x} = {value_words(self.parameters[x], '.4g')} {unit_behind(self.unit[x])}".rstrip()
+            *(Size(x, self.unit[x], float(self.parameters[x]), self.std.get(x)).named  # type: ignore
               for x in shapes),
         ]  # fmt: skip
         return "\n".join(lines) or "-"
@@ -372,20 +384,22 @@ class Cause(Part, frozen=True, kw_only=True):
             own = f"inertia of link{links}" if self.at else "inertial parameters"
         words = [own if m == self.effect else effect_words(m) for m in self.members]
         if not self.branch:
-            return listed(words, "or", most=MOST_MEMBERS)
+            return f"{'one of ' * (len(words) > 1)}{listed(words, 'or', most=MOST_MEMBERS)}"
         likeliest = self.members[0] == self.effect
         return f"{self.kind} ({f'likely {own}' if likeliest else 'one of ' + listed(words, 'or')})"
 
     def values(self, std: bool = True) -> str:
         """The cause's numbers: `0.61 ± 0.02 N m`, `c0 = 8.8 ± 0.5 N m, k = 1.0 ± 0.2 N m/rad`, `60
         -> 15 N m s/rad`; where the data determine none of them, or bodies have none, how much of
-        the error it removes; and of a load that its mass is not known. Without standard deviations
-        the first alone. Of a law `1.2, 1.9, 3.4 N m at 0.1, 0.5, 2 rad/s`."""
+        the error it removes; of a load that its mass is not known; of what removes nothing that.
+        Without standard deviations the first alone. Of a law `1.2, 1.9, 3.4 N m at 0.1, 0.5, 2
+        rad/s`."""
+        none = "; takes no error away" * (self.share <= 0)
         if self.law is not UNSET:
-            return self.law.words(std)
+            return self.law.words(std) + none
         massless = self.effect == PAYLOAD and any(not s.determined for s in self.sizes[:1])
         when = "" if self.window is UNSET else f", {self.window.words}"
-        end = "; mass not known" * massless + when
+        end = "; mass not known" * massless + when + none
         sizes = self.known[: 1 if self.effect == PAYLOAD else MOST_SIZES]
         if not sizes:
             return "" if math.isnan(self.share) else f"{percent(self.share)} of the error{end}"

@@ -85,6 +85,15 @@ flexible predictor agrees [1]: noise is known to a few ten per cent."""
 CLEAR_EXCESS = 2.0
 """The same from which it is, whatever a predictor says [1]."""
 
+SMALL_ERROR = 0.03
+"""Error of a joint, over its RMS torque while it moves, below which it is negligible without
+repeats [1]: a careful fit leaves 3 % and more of the torque of most joints of real arms."""
+
+LEAST_NOISES = 3.0
+"""The same over the lower bound of its noise, up to which it may be noise [1]. The bound is the
+spectrum above the fit's cut-off, continued as white: noise with a cut-off of 5 Hz is three times
+that, of 1 Hz seven times, so alone it says nothing."""
+
 SHORTEST_LOG = 8.0
 """Length of all samples below which `no gap` cannot be said [s]."""
 

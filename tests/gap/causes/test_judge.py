@@ -61,10 +61,9 @@ def test_two_forms_of_a_law_together_are_a_rival_of_another_form() -> None:
         key=lambda t: of.evidence.value(of.evidence.fit((t,), of.library.rows)),
     )
     fit = of.again(of.evidence.fit((power,), of.library.rows))
-    (one,) = judge(of, fit, NOTHING_LEFT, asked.draws)
-    members = [{t.name for t in terms} for terms, _ in one.members]
-    assert {"viscous_friction", "coulomb_friction"} in members
-    assert one.law > one.sure
+    ((forms, pair),) = of.other_forms(fit, (power.law, power.since))
+    assert {t.name for t in forms} == {"viscous_friction", "coulomb_friction"}
+    assert of.evidence.over(pair, fit) > 0
 
 
 def test_the_two_forms_that_are_there_are_sure() -> None:

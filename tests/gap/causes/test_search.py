@@ -63,11 +63,23 @@ def test_steps_are_told_and_no_set_comes_back() -> None:
     taken: list[frozenset[int]] = []
     of = Search(
         Library(problem("coulomb_friction")),
-        lambda _, fit: taken.append(frozenset(t.serial for t in fit.terms)),
+        lambda _, fit: taken.append(frozenset(t.root for t in fit.terms)),
     )
     explanation(of)
     assert len(taken[0]) == 1
     assert len(set(taken)) == len(taken)
+
+
+def test_a_set_does_not_come_back_in_another_shape() -> None:
+    """Shapes that are refined are terms of their own: a search could add and drop them for ever."""
+    of = Search(Library(problem("coulomb_friction")))
+    now = of.empty()
+    shapes = [t for t in of.library.terms if t.name == "presliding_hysteresis" and t.place == 0]
+    refined = of.library.like(shapes[1], shapes[0])
+    one, other = (of.evidence.fit((t,), now.samples) for t in (shapes[0], refined))
+    assert of._better([one], now, -np.inf) is not None
+    of._take(one)
+    assert of._better([other], now, -np.inf) is None
 
 
 def test_a_cause_is_worth_what_it_lowers_where_it_was_not_fitted() -> None:

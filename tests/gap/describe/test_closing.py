@@ -36,6 +36,22 @@ def test_the_closed_share_is_that_of_the_errors(share):
     assert low - 0.01 < 1 - share < high + 0.01
 
 
+@pytest.mark.parametrize("least", [0.1, 0.4, 1.0])
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3])
+def test_without_repeats_the_interval_spans_what_the_noise_may_be(share, least):
+    """Of coloured noise the lower bound is a tenth: the share without any noise is in the interval,
+    which is no wider than noise makes it."""
+    traces = several(share, correlation=0.95)
+    size = torch.cat([(t.measured - t.after)[t.valid] for t in traces]).square().mean(0).sqrt()
+    noise = torch.full((3,), NOISE, dtype=torch.float64)
+    floor = NoiseFloor(least * noise, torch.minimum(noise, size), "bracket")
+    found = closing(traces, floor, seed=0, unpredicted=floor.high)
+    low, high = found.closed_ci95
+    assert low - 1e-9 <= found.closed <= high + 1e-9
+    assert low - 0.005 < 1 - share < high + 0.005
+    assert high - low < 0.2
+
+
 def test_motions_that_differ_widen_what_others_may_show():
     """Of four motions one is closed by half: another one may be, too. Repeats are no other motions,
     and whether these motions' gap shrinks stays the same question."""

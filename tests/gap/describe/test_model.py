@@ -150,7 +150,7 @@ def test_another_shape_replaces_the_model_s_own():
     search = search_of(measured([(true, [1.1])], noise=0.0), (own.name,), given=((own, [0.8]),))
     found = solution_of(search, [term(search, true)])
     ((effect, values),) = found.model.effects
-    assert effect == true
+    assert effect.vs == pytest.approx(true.vs)
     assert values == pytest.approx([1.1], rel=1e-3)
 
 

@@ -144,6 +144,22 @@ def test_the_bracket_holds_the_noise(hz, gap):
         assert int((found.structure > 0.3).sum()) >= 2
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_spring_between_two_joints_is_no_noise(seed):
+    """A function of two joints' positions is foreseen on a motion that was left out; coloured noise
+    is not."""
+    segments = runs(seed, count=3, same=False)
+    z = noises(segments, seed, 5.0, size=0.02)
+    residual = [x.clone() for x in z]
+    for x, s in zip(residual, segments, strict=True):
+        stretched = s.motion.q[:, 0] + s.motion.q[:, 1]
+        x[:, 1] += stretched.sign() * (stretched.abs() - 0.3).clamp(min=0)
+    found = found_with(segments, residual)
+    left = found.unpredicted / size(segments, residual)
+    assert float(left[1]) < 0.4
+    assert left[[0, 2]].tolist() == pytest.approx([1.0, 1.0], abs=0.05)
+
+
 def test_what_is_worth_no_name_is_not_predicted():
     """A smooth function of the motion, smaller than what is worth a name: all of it is noise."""
     segments = runs(1, count=3, same=False)

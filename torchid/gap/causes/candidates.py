@@ -93,6 +93,9 @@ class Term:
         shown: whether it shows as much as is worth a name.
         since: beside an earlier log, `in both` of what acts in that one as well and `new` of what
             does not; else empty.
+        before: (C, M) or (C, n, M) of what is new, what its columns would be on the M samples of
+            the earlier log; None of all else, and of what happens once.
+        origin: serial of the candidate of which it is another shape; below zero of none.
         serial: of its own, by which its products with others are kept.
     """
 
@@ -112,12 +115,19 @@ class Term:
     extra: float = 0.0
     shown: bool = False
     since: When | Literal[""] = ""
+    before: np.ndarray | None = None
+    origin: int = -1
     serial: int = field(init=False, default_factory=itertools.count().__next__)
 
     @property
     def count(self) -> int:
         """C."""
         return len(self.low)
+
+    @property
+    def root(self) -> int:
+        """Serial of the candidate that it is, whatever its shape."""
+        return self.serial if self.origin < 0 else self.origin
 
     @property
     def centre(self) -> np.ndarray:
@@ -260,11 +270,6 @@ class Library:
         """What the model left unexplained (n,) on a log that is not beside, RMS [N m; N]."""
         return self.known_noise
 
-    def judged(self, term: Term, part: np.ndarray) -> np.ndarray:
-        """Parts (N,) of the logs on which a term is held against data that were not fitted; below
-        zero where it is not."""
-        return part
-
     def rms(self, x: np.ndarray) -> np.ndarray:
         """RMS (n,) of samples (n, N) of the log that is asked."""
         rows = np.maximum(self.keep[:, self.asked].sum(1), 1.0)
@@ -345,7 +350,7 @@ class Library:
 
     def like(self, made: Term, term: Term) -> Term:
         """What was made from an effect, as what it is another shape of."""
-        return replace(made, key=term.key, shapes=term.shapes, since=term.since)
+        return replace(made, key=term.key, shapes=term.shapes, since=term.since, origin=term.root)
 
     def of_effect(self, effect: Effect, like: Term | None = None) -> Term | None:
         """A candidate from an effect, at its place; of one that all joints share, `like` that."""

@@ -128,10 +128,9 @@ class TwoLogs(Library):
         """What was made from an effect, as what it is another shape of."""
         return self._zeroed(super().like(made, term))
 
-    def judged(self, term: Term, part: np.ndarray) -> np.ndarray:
-        """What is new is worth something on the log that is asked."""
-        return np.where(self.asked, part, -1) if term.since == NEW else part
-
     def _zeroed(self, term: Term) -> Term:
         """A term, zero on the earlier log if it is new."""
-        return replace(term, columns=term.columns * self.asked) if term.since == NEW else term
+        if term.since != NEW:
+            return term
+        before = None if term.rare else term.columns[..., ~self.asked].copy()
+        return replace(term, columns=term.columns * self.asked, before=before)

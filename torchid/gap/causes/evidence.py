@@ -19,13 +19,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
 from scipy.linalg import solve_triangular
 
 from torchid.gap.causes.candidates import Library, Term
+from torchid.gap.causes.clusters import Clusters
 from torchid.gap.wanted import BASE
 from torchid.statistics.autocorrelation import autocorrelation, time_of
 from torchid.statistics.criteria import WRONG_FILE
@@ -104,6 +105,7 @@ class Evidence:
         self._sets: dict[tuple[int, ...], Slabs] = {}
         self._left: dict[int, tuple[Fit, np.ndarray]] = {}
         self._slow: dict[int, torch.Tensor] = {}
+        self.clusters = Clusters(library)
         self.refresh()
 
     def refresh(self) -> None:
@@ -165,16 +167,24 @@ class Evidence:
         if key not in self._sets:
             if len(self._sets) >= KEPT:
                 del self._sets[next(iter(self._sets))]
-            self._sets[key] = self._assembled(terms)
+            # Most sets are another one and a term.
+            before = self._sets.get(key[:-1]) if key else None
+            self._sets[key] = self._assembled(terms, before)
         return self._sets[key]
 
-    def _assembled(self, terms: Sequence[Term]) -> Slabs:
+    def _assembled(self, terms: Sequence[Term], before: Slabs | None = None) -> Slabs:
+        """Of terms, all but the last of which are in `before`."""
         ends = np.cumsum([0, *(t.count for t in terms)])
         at = [slice(a, b) for a, b in pairwise(ends)]
         g, spread = np.zeros((self.n, ends[-1] + 1, ends[-1] + 1)), np.zeros((ends[-1], ends[-1]))
         g[:, -1, -1] = (self.gap**2).sum(1)
-        own = np.zeros((3, ends[-1]))
-        for i, one in enumerate(terms):
+        own, first = np.zeros((3, ends[-1])), 0
+        if before is not None:
+            first, old = len(terms) - 1, ends[-2]
+            g[:, :old, :old], spread[:old, :old] = before.normal[:, :-1, :-1], before.spread
+            g[:, :old, -1] = g[:, -1, :old] = before.normal[:, :-1, -1]
+            own[:, :old] = before.middle, before.low, before.high
+        for i, one in enumerate(terms[first:], first):
             g[:, at[i], -1] = g[:, -1, at[i]] = self._target(one)
             spread[at[i], at[i]], own[1, at[i]], own[2, at[i]] = one.spread, one.low, one.high
             if one.centre.any():
@@ -276,8 +286,40 @@ class Evidence:
         a, b = apart**2, noise**2
         loud = (a * b).sum(1) * self.rows / np.maximum(a.sum(1) * b.sum(1), 1e-300)
         times = np.maximum(time_of(both).numpy(), 1.0) * np.maximum(loud, 1.0)
+        times = self._beside_misfit(one, other, apart, noise, times)
         # Where the two make the same torque no sample tells anything, and all may count.
         return np.where(a.sum(1) > DIFFERENT * b.sum(1), self.rows / times, self.rows)
+
+    def _beside_misfit(
+        self, one: Fit, other: Fit, apart: np.ndarray, noise: np.ndarray, times: np.ndarray
+    ) -> np.ndarray:
+        """Samples (n,) of which one tells as much as an independent one, where what is left differs
+        between windows by more than samples that are so long alike."""
+        there = {t.serial for t in one.terms} & {t.serial for t in other.terms}
+        alone = [
+            (t, sign * x)
+            for fit, sign in ((one, 1.0), (other, -1.0))
+            for t, x in zip(fit.terms, fit.values(), strict=True)
+            if t.serial not in there
+        ]
+        # What happens once differs between windows by its nature, and what another sensor shows is
+        # asked of no torque that is left.
+        if any(t.rare or t.shown for t, _ in alone):
+            return times
+        new = [(t, x) for t, x in alone if t.before is not None]
+        if not new:
+            return self.clusters.same(apart, noise, times)
+        before, touched = ~self.library.asked, np.zeros(self.n, bool)
+        would = np.zeros((self.n, int(before.sum())))
+        for t, x in new:
+            own = slice(None) if t.place is None else t.place
+            would[own] += np.tensordot(x, cast(np.ndarray, t.before), 1)
+            touched[own] = True
+        # On joints of other terms alone both logs have what is asked.
+        torque = apart.copy()
+        torque[np.ix_(touched, before)] = would[touched]
+        more = self.clusters.new(torque, noise, times)
+        return np.where(touched, more, self.clusters.same(apart, noise, times))
 
     def _total(self, fit: Fit) -> float:
         return float((self.rows * np.log(fit.losses)).sum())

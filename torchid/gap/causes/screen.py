@@ -148,11 +148,16 @@ class Screen:
             count: of them; beside an earlier log half of them are new and half in both.
             without: keys that are not looked at.
         """
+        return self.spread(self.ranked(fit, samples, without), count)
+
+    @staticmethod
+    def spread(ranked: Sequence[tuple[float, Term]], count: int) -> list[tuple[float, Term]]:
+        """Of candidates in order those that `best` takes."""
         of_place = Counter[object]()
         # The likeliest ten of a joint with much friction are ten forms of one law, and a cause of
         # another joint would never be tried.
         within, beyond = list[tuple[float, Term]](), list[tuple[float, Term]]()
-        for gain, term in self.ranked(fit, samples, without):
+        for gain, term in ranked:
             place = term.since, term.name if term.place is None else term.place
             of_place[place] += 1
             (within if of_place[place] <= OF_A_PLACE else beyond).append((gain, term))

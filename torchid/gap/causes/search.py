@@ -18,7 +18,6 @@ from torchid.gap.causes.events import planes, pushes
 from torchid.gap.causes.evidence import Evidence, Fit
 from torchid.gap.causes.screen import Screen
 from torchid.parallel.pace import Pace
-from torchid.statistics.blocks import block_numbers
 from torchid.statistics.evidence import solved
 
 TRIED = 10
@@ -44,8 +43,9 @@ one, which the library has first, is taken."""
 STEP = 0.5
 """Rise of the evidence from which a step is taken [nats]."""
 
-SWAPS, EXCHANGED = 20, 20
-"""Exchanges at most, one after the other, and how many are compared in a step."""
+SWAPS, FITTED, EXCHANGED = 20, 60, 20
+"""Exchanges at most, one after the other; how many are fitted in a step, and how many of these are
+compared."""
 
 LEVELS = 3
 """Times that a shape is refined, each time three times more closely."""
@@ -62,10 +62,6 @@ explain on a joint [1]."""
 
 ACTS = 0.1
 """Torque of a cause while it acts, over the most that it makes, at least [1]."""
-
-WOVEN = 5
-"""Parts that a log is woven of when the worth of a cause is asked, each a fifth of its blocks: what
-drifts over a log is in all of them."""
 
 OWN_BLOCKS = 4
 """Blocks of the samples in which a cause acts that acts at times only; every other one is left out
@@ -190,6 +186,8 @@ class Search:
             # Nothing joined or left: another round would try the same.
             if {t.key for t in fit.terms} == before:
                 break
+        # What is superfluous leaves, though the rest was there before.
+        self.visited.clear()
         return self.worthwhile(self.as_loads(self.simpler(self.shrink(fit))))
 
     def simpler(self, fit: Fit) -> Fit:
@@ -256,7 +254,7 @@ class Search:
 
     def _take(self, fit: Fit) -> Fit:
         """The fit that the search goes on from."""
-        self.visited.add(frozenset(t.serial for t in fit.terms))
+        self.visited.add(frozenset(t.root for t in fit.terms))
         self._rises.clear()
         self.pace.scale(JUDGED, (1 + len(fit.terms)) / USUAL)
         self.pace.tell()
@@ -274,7 +272,7 @@ class Search:
         visited."""
         best: tuple[float, Fit] | None = None
         for fit in fits:
-            if frozenset(t.serial for t in fit.terms) in self.visited:
+            if frozenset(t.root for t in fit.terms) in self.visited:
                 continue
             rise = self._rise(fit, now)
             # Of what makes the same torque in this log the first of the library is taken.
@@ -377,12 +375,20 @@ class Search:
     def _exchanged(self, fit: Fit) -> list[Fit]:
         """Fits with one term for another: the likeliest with the samples at hand, and none that
         makes the same torque with as many coefficients."""
-        every = list[tuple[float, Fit, Fit, bool]]()
+        every, tried = list[tuple[float, Fit, Fit, bool]](), list[tuple[float, Fit, Term, Term]]()
         for t in fit.terms:
             base = self.without(fit, t)
-            for other in (u for u in self.likely(base) if u is not t):
-                then = self.beside(base.terms, other, fit.samples)
-                every.append((self.evidence.value(then), then, base, other.count >= t.count))
+            # To first order, in noise as it is with all of them: rises are of one scale then.
+            samples = fit.samples * base.losses / fit.losses
+            ranked = self.screen.ranked(base, samples, frozenset(self.impossible))
+            rise = self.evidence.value(fit) - self.evidence.value(base)
+            own = next((gain for gain, u in ranked if u.key == t.key), rise)
+            some = self.screen.spread(ranked, 2 * TRIED)
+            tried += [(gain - own, base, t, u) for gain, u in some if u.root != t.root]
+        tried.sort(key=lambda one: -one[0])
+        for _, base, t, other in tried[:FITTED]:
+            then = self.beside(base.terms, other, fit.samples)
+            every.append((self.evidence.value(then), then, base, other.count >= t.count))
         values = sorted((value for value, *_ in every), reverse=True)
         least = values[EXCHANGED - 1] if len(values) > EXCHANGED else -np.inf
         return [
@@ -492,25 +498,19 @@ class Search:
         return part
 
     def worthwhile(self, fit: Fit) -> Found:
-        """Without what lowers no joint's error by as much as is worth a name on data that was not
-        fitted; the least worthy leaves first."""
-        part = block_numbers(
-            self.library.samples.bounds, round(1.5 / self.library.samples.interval)
-        )
-        woven = part.numpy() % WOVEN
+        """Without what lowers no joint's error by as much as is worth a name on motions left out;
+        the least worthy leaves first."""
+        motions = np.where(self.library.asked, self.library.problem.folds.fold.numpy(), -1)
         small: list[Term] = []
         while fit.terms:
-            own = self.shared(fit, woven)
-            parts = {t.since: self.library.judged(t, own) for t in fit.terms}
-            whole = {since: self.left_out(fit, part) for since, part in parts.items()}
+            own = self.shared(fit, motions)
+            whole = self.left_out(fit, own)
             worth = [
                 # What another sensor shows is there, however little of it the fit's torque has.
                 np.inf
                 if t.shown
                 else max(
-                    self.worth(
-                        whole[t.since], self.left_out(fit, parts[t.since], t), self._share(fit, t)
-                    ),
+                    self.worth(whole, self.left_out(fit, own, t), self._share(fit, t)),
                     self._displaced(fit, t),
                 )
                 for t in fit.terms

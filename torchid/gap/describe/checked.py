@@ -22,7 +22,6 @@ from torchid.gap.describe.traces import Foretells, traces
 from torchid.gap.diagnosis import Trace, alien_joints, worse_than_none
 from torchid.gap.folds import FEW, Folds
 from torchid.gap.wanted import BASE
-from torchid.robot.model import torque_unit
 from torchid.typing import Bool, Float, Tensor
 
 
@@ -106,8 +105,7 @@ def decide(found: Explanation, claims: Sequence[Claim]) -> Decision:
     final = checked
     if problem.judged is not None:
         final = check_held_out(found, base, checked.noise, problem.judged)
-        error = float(checked.far.rms_after.norm())
-        left_out = problem.left_out.error(error, torque_unit(problem.robot))
+        left_out = replace(checked.far, judged=problem.left_out)
         final = replace(final, far=replace(final.far, left_out=left_out))
     return Decision(found, checked, final, tuple(told), dropped, least, taken_back)
 

@@ -3,8 +3,8 @@
 Errors are those that are shown: roots of the sums over joints of mean squares, E0 of the model as
 given, E1 of the one with refitted base parameters, E* of the answered one, En of the noise. Shares
 are of the error beyond noise, 1 - sqrt((E*^2 - En^2) / (E0^2 - En^2)). Only repeats of a motion
-measure the noise; without them its lower bound is all that is taken out, so that no share is above
-1 - E*/E0 but by as much as noise allows.
+measure the noise; without them its lower bound is taken out of the share, and the interval spans
+all that the noise may be: from there to what a flexible predictor leaves of the error after.
 """
 
 import itertools
@@ -90,8 +90,9 @@ def closing(
     others is told by motions that are resampled with their blocks.
 
     What repeats tell of the noise has an interval of its own, from which it is drawn beside the
-    blocks. But other motions may be noisier than the repeated one, so at most all that cannot be
-    predicted is noise. The interval of the closed share holds both.
+    blocks. But other motions may be noisier than the repeated one, and without repeats there is no
+    more than a lower bound, so at most all that cannot be predicted is noise. The interval of the
+    closed share holds both.
 
     Args:
         traces: before and after, on data the models were not fitted on.
@@ -133,7 +134,7 @@ def closing(
     first, last = (((weights @ x) / rows.clamp(min=1)).sum(1) for x in (before, after))
     noise = known_noise(floor)
     ends = [(noise * drawn).sum(-1).expand(DRAWS)]
-    if floor.source == "repeats" and unpredicted is not None:
+    if unpredicted is not None:
         largest = torch.minimum(unpredicted.square(), after.sum(0) / total)
         ends.append(torch.maximum(largest, noise).sum().expand(DRAWS))
     # There is no more noise than what is left.

@@ -1,4 +1,4 @@
-"""How well the coefficients of what is told are known, all of them together."""
+"""How well the coefficients and shapes of causes are known, all of them together."""
 
 from torchid.effects.inertia import LinkInertia
 from torchid.effects.registry import EVENTS
@@ -10,8 +10,8 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK
 
 
 def covariance_of(solution: Solution) -> Covariance | None:
-    """Of a solution's coefficients, without those of what happened once; None where nothing was
-    fitted."""
+    """Of a solution's coefficients and free shapes, without those of what happened once; None where
+    nothing was fitted."""
     if not len(solution.covariance):
         return None
     coefficients: list[Coefficient] = []
@@ -21,6 +21,10 @@ def covariance_of(solution: Solution) -> Covariance | None:
             lasting += range(*solution.at(k).indices(len(solution.a)))
             name = LINK if part.name == BASE else part.name
             coefficients += [Coefficient(effect=name, names=x) for x in _names(part)]
+    for k, shape in enumerate(solution.shapes, len(solution.a)):
+        if shape.effect.name not in EVENTS:
+            lasting.append(k)
+            coefficients.append(Coefficient(effect=shape.effect.name, names=(shape.known,)))
     matrix = solution.covariance[lasting][:, lasting]
     return Covariance(coefficients=tuple(coefficients), matrix=matrix)
 

@@ -118,6 +118,7 @@ def _cause(found: Explanation, k: int, one: Claim, corrected: Robot, own: dict[s
         given = replace(given, effects=(*given.effects, (effect, list(part.known))))
     return effect_cause(
         (effect, values.tolist()), std.tolist(), given, solution.model, solution.main(at),
+        solution.of_shapes(at),
         joints=_felt(found, at), located=() if many else effect.joints, common=many,
         replication=replication(solution, at, samples), window=_window(samples, effect),
         notes=_notes(found, at), **own,

@@ -241,6 +241,11 @@ class _Friction:
         for k, part in enumerate(solution.parts):
             for effect in (e for e in part.effects if self._is_own(e)):
                 columns[solution.at(k)] += self._over_speed(effect, speed)
+        for k, shape in enumerate(solution.shapes, len(solution.a)):
+            if self._is_own(shape.effect):
+                low, high = (self._over_speed(e, speed) for e in shape.around)
+                slope = (high - low) / (shape.near[1] - shape.near[0])
+                columns[k] = solution.values[shape.part] @ slope
         variance = ((solution.covariance @ columns) * columns).sum(0)
         return self._sum(self.corrected, speed), variance.clamp(min=0).sqrt()
 

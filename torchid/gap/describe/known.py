@@ -54,9 +54,7 @@ def known_of(found: Explanation, after: Knowledge, least: Float[Tensor, " n"]) -
     """
     problem, before = found.problem, found.problem.wanted.knowledge
     if before is None:
-        # Parameters were given that nobody vouches for.
-        as_cad = problem.settings.parameters == "auto" and not problem.fitted_first
-        return Known(sources=(), notes=(AS_CAD,)) if as_cad else None
+        return Known(sources=(), notes=(AS_CAD,)) if problem.as_cad else None
     solution = found.solution
     robot = solution.start.robot
     named = set(_names(found.terms))

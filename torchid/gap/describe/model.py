@@ -2,11 +2,12 @@
 
 Some columns depend on the model (friction that grows with load, compliance, delay), and some are
 secants of something nonlinear (an encoder's offset). Gauss-Newton steps on the residual of the
-corrected model itself settle both, and what is nonlinear in several coefficients at once. Slabs are
-those of the search; links that are bodies stay bodies.
+corrected model itself settle both, and what is nonlinear in several coefficients at once; shapes
+that the search has refined take part in them. Slabs are those of the search; links that are bodies
+stay bodies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -17,6 +18,7 @@ import torch
 from torchid.design.bodies import Bodies, Prior, links_near, some_body, together, usual_bodies
 from torchid.design.columns import Columns, Model, Place, on_joint
 from torchid.design.deflection import Compliance
+from torchid.design.gram import inverse_root
 from torchid.design.resonance import Swing
 from torchid.effects.base import Coefficient, Effect, JointEffect
 from torchid.effects.registry import KINDS, Valued
@@ -24,6 +26,8 @@ from torchid.gap.causes.candidates import Library, Term, columns_of, excluding
 from torchid.gap.causes.evidence import Fit
 from torchid.gap.causes.search import Search
 from torchid.gap.data import Data
+from torchid.gap.describe.discrepancy import Discrepancy, body_errors
+from torchid.gap.describe.shapes import FreeShape, free_shapes, shaped
 from torchid.gap.problem import Problem
 from torchid.gap.wanted import BASE, Wanted
 from torchid.identification.knowledge import known_names
@@ -33,6 +37,7 @@ from torchid.robot.inertia import PARAMETERS_PER_LINK, InertialParameters
 from torchid.statistics.autocorrelation import integrated_time
 from torchid.statistics.blocks import block_length, block_numbers
 from torchid.statistics.criteria import BODY_STD
+from torchid.statistics.evidence import CONVERGED
 from torchid.statistics.jackknife import DETERMINED, fit_statistics
 from torchid.statistics.robust import huber_weights
 from torchid.typing import Bool, Float, Int, Tensor
@@ -40,7 +45,12 @@ from torchid.typing import Bool, Float, Int, Tensor
 A_BASE_PARAMETER = Coefficient("", "", False, "a base parameter")
 
 
-STEPS = 4
+STEPS = 12
+"""Gauss-Newton steps at most, of which two to four are the rule: they end by the evidence."""
+
+ROBUST = 2
+"""Times that rows are weighed by what a fit leaves: more would take what one run of several has
+for rows that are far out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +104,11 @@ class Part:
         """Whether it corrects the links' own parameters."""
         return self.name in (BASE, LINK)
 
+    @property
+    def links(self) -> list[int]:
+        """Links whose parameters it corrects, one for each of them."""
+        return [] if self.rows is None else (self.rows // PARAMETERS_PER_LINK).tolist()
+
     @cached_property
     def centre(self) -> Float[Tensor, " C"]:
         """Where the coefficients are expected: at what another sensor says, or the model has."""
@@ -120,6 +135,13 @@ class Part:
             return torch.tensordot(self.change, at.regressor, 2).unsqueeze(0)
         every = [columns_of(at, [e])[0] for e in self.effects]
         return sum(x if place is None else on_joint(x, place, at.n) for place, x in every)  # type: ignore[return-value]
+
+    def shapes(self, k: int, values: Float[Tensor, " C"], at: Columns) -> Iterator[FreeShape]:
+        """Its free shapes as the k-th part: of a cause on one joint, unless it is a change of what
+        the model has of the same shape."""
+        effect = self.effects[0] if len(self.effects) == 1 and self.term is not None else None
+        if isinstance(effect, JointEffect) and effect.shapes and not any(self.known):
+            yield from free_shapes(k, effect, values, at)
 
     def at_estimate(self, values: Float[Tensor, " C"]) -> "Part":
         """The part with secants at the estimate."""
@@ -254,11 +276,13 @@ class Solution:
         parts: what is always fitted first, secants at the estimate.
         values, std: per part (C,): coefficients, and standard deviations by a block jackknife, of
             which `HALF_95` are the 95 % interval, however few blocks there are.
-        covariance: (K, K) of all coefficients, part by part; std are the roots of its diagonal.
+        covariance: (K + S, K + S) of all coefficients, part by part, and of the free shapes; the
+            roots of its diagonal are the standard deviations.
         columns: at the corrected model.
         weight: (n,) of the joints' squares.
         a: (K, n, N) columns at the corrected model; zero where no sample counts.
         left: (n, N) what the corrected model leaves; likewise.
+        shapes: S free shapes.
         of_load: (n,) root mean squares that a load's body leaves, and any ten numbers in its place
             [N m; N]; None where these are a body's, too, or there is no load.
     """
@@ -267,11 +291,12 @@ class Solution:
     parts: tuple[Part, ...]
     values: tuple[Float[Tensor, " _"], ...]
     std: tuple[Float[Tensor, " _"], ...]
-    covariance: Float[Tensor, "K K"]
+    covariance: Float[Tensor, "P P"]
     columns: Columns
     weight: Float[Tensor, " n"]
     a: Float[Tensor, "K n N"]
     left: Float[Tensor, "n N"]
+    shapes: tuple[FreeShape, ...] = ()
     of_load: tuple[Float[Tensor, " n"], Float[Tensor, " n"]] | None = None
 
     @property
@@ -283,6 +308,11 @@ class Solution:
         """Places of the k-th part's coefficients among all."""
         first = sum(len(v) for v in self.values[:k])
         return slice(first, first + len(self.values[k]))
+
+    def of_shapes(self, k: int) -> dict[str, float]:
+        """Standard deviations of the k-th part's free shapes, by name."""
+        every = self.covariance.diagonal()[len(self.a) :].clamp(min=0).sqrt().tolist()
+        return {s.name: std for s, std in zip(self.shapes, every, strict=True) if s.part == k}
 
     def number(self, term: Term) -> int:
         """Number of the part that a cause is."""
@@ -336,7 +366,9 @@ def solve(problem: Problem, search: Search, fit: Fit, steps: int = STEPS) -> Sol
         own = parts[k].instead
         values[k] = torch.from_numpy(x) + (0.0 if own is None else torch.tensor(own[1]).double())
     samples = torch.from_numpy(fit.samples)
-    return solve_parts(problem.given, parts, values, problem.data, problem.block, samples, steps)
+    return solve_parts(
+        problem.given, parts, values, problem.data, problem.block, samples, steps, problem.as_cad
+    )
 
 
 def refitted(columns: Columns, data: Data, wanted: Wanted) -> Solution:
@@ -363,6 +395,7 @@ def solve_parts(
     block: Int[Tensor, " N"],
     effective: Float[Tensor, " n"] | None = None,
     steps: int = STEPS,
+    as_cad: bool = False,
 ) -> Solution:
     """Fit parts together, from coefficients near the solution.
 
@@ -375,45 +408,122 @@ def solve_parts(
         effective: (n,) independent samples, beside which counts what is known beforehand; as many
             as there are if None.
         steps: of Gauss and Newton at most; without any the coefficients are those given.
+        as_cad: whether nobody vouches for the bodies' parameters.
     """
     start, prior = columns.model, prior_of(parts)
     rows = data.keep.sum(1).clamp(min=1).double()
     share = torch.ones_like(rows) if effective is None else (effective / rows).clamp(max=1.0)
-    taken, values = list(parts), list(x)
+    taken, values, none = list(parts), list(x), torch.zeros(0, dtype=torch.float64)
     best: Solution | None = None
-    weight = torch.ones_like(data.keep, dtype=torch.float64)
-    last = torch.inf
+    change, last, gain, weighed = _Step(none, none), torch.inf, torch.inf, 0
+    far = weight = torch.ones_like(data.keep, dtype=torch.float64)
     for step in range(steps + 1):
         # The corrected model at the estimate, and what it leaves.
         taken = [p.at_estimate(v) for p, v in zip(taken, values, strict=True)]
         at = columns.at(corrected_model(start, taken, values))
         left = at.gap * data.keep
-        # Every joint in units of what it leaves; rows far out, at reversals, count as their limit.
-        if step < 2:
-            of_joint = share * rows / left.square().sum(1).clamp(min=1e-300)
-            weight = huber_weights(left) * of_joint.sqrt().unsqueeze(1)
-        # A step that does not lower the loss is not taken, and ends the search.
-        whole = torch.cat([torch.zeros(0, dtype=torch.float64), *values])
+        whole = torch.cat([none, *values])
+        far = far if steps else huber_weights(left)
+        # Half of a step that does not lower the loss is taken.
         loss = float((weight * left).square().sum()) + prior.value(whole)
         if best is not None and not loss < last:
-            break
+            change = change.half
+            taken, values = change.of(best)
+            continue
+        # Every joint in units of what it leaves.
+        of_joint = share * rows / left.square().sum(1).clamp(min=1e-300)
         each = [p.columns(at) for p in taken]
         # Columns at the corrected model, for the next step and for the standard deviations.
         a = torch.cat(each) * data.keep if each else left.new_zeros(0, *left.shape)
-        unknown = a.new_zeros(len(a), len(a))
-        best = Solution(start, tuple(taken), tuple(values), (), unknown, at, of_joint, a, left)
-        # 1e-4: Gauss-Newton steps at most, and the share of the loss that one must gain to be
-        # followed by another
-        if (step > 1 and last - loss < 1e-4 * last) or step == steps or not len(a):
+        free = tuple(
+            replace(s, slope=s.slope * data.keep)
+            for k, (p, v) in enumerate(zip(taken, values, strict=True))
+            for s in p.shapes(k, v, at)
+        )
+        unknown = a.new_zeros(len(a) + len(free), len(a) + len(free))
+        best = Solution(
+            start, tuple(taken), tuple(values), (), unknown, at, of_joint, a, left, free
+        )
+        while True:
+            weight = far * of_joint.sqrt().unsqueeze(1)
+            if step == steps or not len(a):
+                break
+            change = _gauss_newton(best, prior, weight)
+            now = float((weight * left).square().sum()) + prior.value(whole)
+            then = float((weight * (left - change.torque(best))).square().sum())
+            gain = now - then - prior.value(whole + change.x)
+            # Coefficients to begin with may be none that physics allows: the first step may cost.
+            last, gain = (now, gain) if step else (torch.inf, abs(gain))
+            if gain >= 2 * CONVERGED or weighed == ROBUST:
+                break
+            # Rows far out of a fit of all, at reversals, count as their limit, as told from there:
+            # so it does not matter where it began.
+            far, weighed = huber_weights(left), weighed + 1
+        if gain < 2 * CONVERGED or step == steps or not len(a):
             break
-        last = loss if step > 0 else torch.inf
-        # Gauss-Newton: what the columns see in what is left, and what is known beforehand.
-        flat = (a * weight).flatten(1)
-        gram = flat @ flat.T
-        whole = within_physics(taken, prior, gram, flat @ (left * weight).flatten() + gram @ whole)
-        values = list(whole.split([len(v) for v in values]))
+        taken, values = change.of(best)
     assert best is not None
-    return _with_deviations(best, data, block, prior, weight, steps > 0) if len(best.a) else best
+    if not len(best.a):
+        return best
+    bodies = best.a[:0]
+    if as_cad and all(p.name != BASE for p in taken):
+        bodies = body_errors(columns, {k for p in taken if p.inertial for k in p.links}) * data.keep
+    return _with_deviations(best, data, block, prior, weight, steps > 0, bodies)
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A change (K,) of a solution's coefficients, and (S,) of its free shapes."""
+
+    x: Float[Tensor, " K"]
+    shapes: Float[Tensor, " S"]
+
+    @property
+    def half(self) -> "_Step":
+        """Half as far."""
+        return _Step(self.x / 2, self.shapes / 2)
+
+    def torque(self, of: Solution) -> Float[Tensor, "n N"]:
+        """Of the step, along the slopes."""
+        return torch.tensordot(torch.cat([self.x, self.shapes]), _every(of), 1)
+
+    def of(self, best: Solution) -> tuple[list[Part], list[Float[Tensor, " _"]]]:
+        """Parts and coefficients after it."""
+        parts = list(best.parts)
+        for s, by in zip(best.shapes, self.shapes.tolist(), strict=True):
+            part = parts[s.part]
+            (effect,) = part.effects
+            assert isinstance(effect, JointEffect)
+            parts[s.part] = replace(part, effects=(shaped(effect, s.name, s.value + by),))
+        steps = self.x.split([len(v) for v in best.values])
+        return parts, [v + by for v, by in zip(best.values, steps, strict=True)]
+
+
+def _every(best: Solution) -> Float[Tensor, "P n N"]:
+    """Columns of coefficients, and slopes of free shapes."""
+    return torch.cat([best.a, *(s.slope.unsqueeze(0) for s in best.shapes)])
+
+
+def _gauss_newton(best: Solution, prior: Prior, weight: Float[Tensor, "n N"]) -> _Step:
+    """What columns and slopes see in what is left, beside what is known beforehand: shapes go no
+    farther than their ends, and coefficients stay within physics beside them."""
+    flat, rest = (_every(best) * weight).flatten(1), (best.left * weight).flatten()
+    gram, k, now = flat @ flat.T, len(best.a), torch.cat(best.values)
+    right = flat @ rest + gram[:, :k] @ now
+    known = torch.tensor([s.std**-2 for s in best.shapes], dtype=torch.float64)
+    # Shapes first: what is left of the coefficients' equations beside them.
+    own = torch.linalg.inv(gram[k:, k:] + torch.diag(known)) @ torch.cat(
+        [gram[k:], right[k:].unsqueeze(1)], 1
+    )
+    inner = gram[:k, :k] - gram[:k, k:] @ own[:, :k]
+    x = within_physics(best.parts, prior, inner, right[:k] - gram[:k, k:] @ own[:, -1])
+    shapes = own[:, -1] - own[:, :k] @ x
+    ends = torch.tensor([[e - s.value for e in s.ends] for s in best.shapes]).double().view(-1, 2)
+    within = shapes.clamp(ends[:, 0], ends[:, 1])
+    if not torch.equal(within, shapes):
+        beside = right[:k] - gram[:k, k:] @ within
+        x = within_physics(best.parts, prior, gram[:k, :k], beside)
+    return _Step(x - now, within)
 
 
 def _with_deviations(
@@ -423,28 +533,34 @@ def _with_deviations(
     prior: Prior,
     weight: Float[Tensor, "n N"],
     fitted: bool,
+    bodies: Float[Tensor, "F n N"],
 ) -> Solution:
     """A solution with the covariance of its coefficients; rows count by their weights. Only a load
-    that was fitted is held against any ten numbers."""
+    that was fitted is held against any ten numbers; errors of `bodies` are part of what is left."""
     # Standard deviations from the spread of whole blocks of samples, all joints together, and from
     # what is known beforehand. Few blocks tell little of a spread, and one alone nothing: rows are
     # in units of what an independent sample leaves.
-    whole = torch.cat(best.values)
-    flat = (best.a * weight).flatten(1)
+    k, whole = len(best.a), torch.cat(best.values)
+    every = (_every(best) * weight).flatten(1)
+    flat = every[:k]
     gram = flat @ flat.T
     right = flat @ (best.left * weight).flatten() + gram @ whole
     loose = _loose(best, gram, right) if fitted else None
+    before = every.new_tensor([s.std**-2 for s in best.shapes])
+    known = torch.block_diag(prior.squares, torch.diag(before))
+    root, left = inverse_root(every @ every.T + known, known=known), (best.left * weight).flatten()
+    wrong = Discrepancy.of(every, left, (bodies * weight).flatten(1), root @ root.T)
     found = fit_statistics(
-        flat.T, (best.left * weight).flatten(), block.repeat(len(best.left)), variance=1.0,
-        known=prior.squares,
-    )  # fmt: skip
-    covariance = found.widened()
+        every.T, left - wrong.torque, block.repeat(len(weight)), variance=1.0, known=known
+    )
+    covariance = found.widened() + wrong.covariance
+    own = covariance[:k, :k]
     # With another scale of a joint's torque all coefficients of its effects have it, too; those of
     # the whole arm have that of all joints.
     places = [-1 if p.place is None else p.place for p in best.parts for _ in range(p.count)]
     of_place = torch.tensor(places)
     together = of_place == of_place.unsqueeze(1)
-    covariance = covariance + data.gain_std**2 * whole * whole.unsqueeze(1) * together
+    own += data.gain_std**2 * whole * whole.unsqueeze(1) * together
     # A coefficient that is estimated twice, by the columns' size, by another sensor, or beside a
     # load that need be no body, is not surer than the two differ.
     twice, most = [], []
@@ -453,22 +569,20 @@ def _with_deviations(
         differs = torch.zeros_like(v) if p.seen is None else v - p.centre
         twice.append(torch.tensor(unsure, dtype=torch.float64).square() + differs.square())
         most.append(torch.where(p.most.isfinite(), p.most, v.abs()))
-    covariance = covariance + torch.diag(torch.cat(twice))
+    own += torch.diag(torch.cat(twice))
     of_load = None
     if loose is not None:
-        covariance = covariance + torch.diag((loose - whole).square())
+        own += torch.diag((loose - whole).square())
         left = best.left - torch.tensordot(loose - whole, best.a, 1)
         rows = (weight * data.keep).square().sum(1).clamp(min=1e-300)
         body, numbers = ((weight * x).square().sum(1).div(rows).sqrt() for x in (best.left, left))
         of_load = body, numbers
-    std = covariance.diagonal().clamp(min=0).sqrt()
+    std = own.diagonal().clamp(min=0).sqrt()
     # What these columns leave open has the size that it can have on this robot, or more; of a load,
     # whatever a slab says of its ten numbers.
     open_ = undetermined(gram + prior.squares)
-    for k, p in enumerate(best.parts):
-        if p.name == PAYLOAD:
-            own = best.at(k)
-            open_[own] |= undetermined(flat[own] @ flat[own].T)
+    for load in (best.at(i) for i, p in enumerate(best.parts) if p.name == PAYLOAD):
+        open_[load] |= undetermined(flat[load] @ flat[load].T)
     std = torch.where(open_, torch.stack([std, whole.abs(), torch.cat(most)]).amax(0), std)
     parts = std.split([len(v) for v in best.values])
     return replace(best, std=tuple(parts), covariance=covariance, of_load=of_load)

@@ -132,6 +132,7 @@ def _entry(found: Explanation, term: Term, sure: float, role: Role = "suspect") 
     effect, std = part.effects[0], solution.std[k].tolist() if solution.std else [0.0] * len(values)
     return effect_cause(
         (effect, values), std, solution.start, solution.model, solution.main(k),
+        solution.of_shapes(k),
         joints=part.joints or (int(closes.argmax()),), located=part.joints,
         common=len(part.effects) > 1, remedy=effect.experiment, **more,
     )  # fmt: skip
