@@ -21,7 +21,8 @@ class Folds:
     """Which samples are held out together.
 
     Attributes:
-        fold: (N,) number of each sample's fold, from 0.
+        fold: (N,) number of each sample's fold, from 0; below zero of an earlier log's, which is
+            never left out.
         count: number of folds.
         whole: whether folds are whole trajectories.
         border: (N,) samples so near to another fold that the filter mixes them with it.

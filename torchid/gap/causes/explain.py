@@ -129,8 +129,7 @@ def left_of(search: Search, fit: Fit) -> np.ndarray:
     library, problem = search.library, search.library.problem
     # Whole motions left out say how far the gap closes; noise is what repeats, or a flexible
     # predictor, leave of that.
-    folds = np.where(library.asked, problem.folds.fold.numpy(), -1)
-    after = search.left_out(fit, search.shared(fit, folds))
+    after = search.left_out(fit, search.shared(fit, problem.folds.fold.numpy()))
     before = library.rms(library.gap)
     # What a predictor of the state foresees is no noise; without repeats all the rest is.
     left = torch.from_numpy(search.evidence.left(fit))

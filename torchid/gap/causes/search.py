@@ -500,7 +500,7 @@ class Search:
     def worthwhile(self, fit: Fit) -> Found:
         """Without what lowers no joint's error by as much as is worth a name on motions left out;
         the least worthy leaves first."""
-        motions = np.where(self.library.asked, self.library.problem.folds.fold.numpy(), -1)
+        motions = self.library.problem.folds.fold.numpy()
         small: list[Term] = []
         while fit.terms:
             own = self.shared(fit, motions)
