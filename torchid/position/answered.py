@@ -154,9 +154,12 @@ def best_answer(
     loaded, others = None, tuple[str, ...]()
     if single is None or not bool((single.explained | problem.data.still).all()):
         single = SingleEffects(begun, ~few.every, {})
-        if pace.has_time(*others_than_core):
+        import os
+        only = bool(os.environ.get("FULLONLY"))
+        if only: single = SingleEffects(begun, (begun.losses(few) <= few.slight), {})
+        if pace.has_time(*others_than_core) and not only:
             single = best_single_effect_per_joint(few, begun, early)
-        if file is None:
+        if file is None and not only:
             pace("a load")
             if pace.has_time("a load", "a load"):
                 loaded, single, others = _or_a_load(few, begun, single)
@@ -200,18 +203,29 @@ def _with_needed(problem: Problem, found: Answered) -> Answered:
     answered = replace(found, model=model, worth=found.worth | worth, rivals=searched)
     if file is None:
         return answered
-    servos = file.model.servos
-    model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
+    servos, doubted = file.model.servos, problem.doubted
+    begun = answered.worth | _of_doubted_gains(problem)
+    model, by_file, worth, alike = beside_file(motions, model, servos, squares, begun, doubted)
     rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
     # What follows no better than the file's servos is no reason for others.
     least = LeastFall.beside(motions, model.servos)
-    near = file.model.losses(motions) - least.left < least.of(1)
+    near = (file.model.losses(motions) - least.left < least.of(1)) & ~doubted
     model, by_file = model.joined(file.model, near), by_file | near
     for name in worth.keys() - {GRAVITY.name, PAYLOAD.name}:
         if BY_NAME[name].parameters:
             worth[name] = worth[name][0].masked_fill(near, torch.nan), worth[name][1]
     worth = {name: losses for name, losses in worth.items() if bool(losses[0].isfinite().any())}
     return replace(answered, model=model, worth=worth, rivals=rivals, by_file=by_file)
+
+
+def _of_doubted_gains(problem: Problem) -> Worth:
+    """Of gains that contradict all else that is known: what the file's servos leave as they are,
+    and with the gains that all else says."""
+    doubted, file, start = problem.doubted, problem.file, problem.start
+    if not bool(doubted.any()) or file is None or start is None:
+        return {}
+    as_given, without = (problem.few.losses(x) for x in (file.model.servos, start.servos))
+    return {GAINS[0].name: (without.masked_fill(~doubted, torch.nan), as_given)}
 
 
 def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:
@@ -357,6 +371,20 @@ def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoM
     return model.joined(simple, simple.losses(motions) - least.left < call)
 
 
+def _left(model: ServoModel, needed: Mapping[str, Tensor], name: str) -> Bool[Tensor, " n"]:
+    """Joints on which an effect leaves; delay and offset are numbers of any servo, and stay."""
+    gone = model.where(BY_NAME[name]) & ~needed[name]
+    return gone & (BY_NAME[name] not in KEPT)
+
+
+def _without(model: ServoModel, needed: Mapping[str, Tensor], motions: Motions) -> ServoModel:
+    """A model without the effects that are not needed."""
+    for name in needed:
+        if bool((gone := _left(model, needed, name)).any()):
+            model = model.without(BY_NAME[name], gone, motions.data.usual)
+    return model
+
+
 def needed_effects(
     motions: Motions, model: ServoModel, squares: float
 ) -> tuple[ServoModel, Worth, Rivals]:
@@ -387,36 +415,33 @@ def needed_effects(
         if effect in KEPT:
             keep &= model.beyond(effect, usual)
         without[effect.name], needed[effect.name] = losses, keep
-    lean = model
-    for name, keep in needed.items():
-        needless = model.where(BY_NAME[name]) & ~keep
-        # Delay and offset are numbers of any servo: they stay, unnamed.
-        if BY_NAME[name] not in KEPT and bool(needless.any()):
-            lean = lean.without(BY_NAME[name], needless, usual)
-    lean, rivals = lean.fitted(motions, 2), Rivals()
-    left_by_lean = motions.losses(lean.servos)
-    fall = (left_by_lean - whole).sum(0)
-    lost = (fall > squares * left_by_lean.sum(0)) & (fall > least.of(1))
-    # Effects that stood for each other: one of them returns, with the others' names.
-    for j in torch.nonzero(lost).flatten().tolist():
-        alike = [
-            name
-            for name, keep in needed.items()
-            if BY_NAME[name] not in KEPT and bool(model.where(BY_NAME[name])[j] & ~keep[j])
-        ]
-        if not alike:
-            continue
-        first = max(alike, key=lambda name: float(without[name][:, j].sum()))
-        rivals[first, j] = tuple(name for name in alike if name != first)
-        here = torch.arange(n) == j
-        if not BY_NAME[first].parameters:
-            lean = replace(lean, servos=replace(lean.servos, plane=model.servos.plane.clone()))
-            lean, here = replace(lean, plane=model.plane), torch.ones_like(here)
-        lean = lean.joined(model, here & (torch.arange(n) == j), BY_NAME[first].parameters)
-        needed[first] = needed[first] | here
-        without[first] = torch.where(here, left_by_lean, without[first])
-    if rivals or bool(lost.any()):
-        lean = lean.fitted(motions, 2)
+    lean, rivals = _without(model, needed, motions), Rivals()
+    # Effects that stood for each other: one after the other returns while a joint loses without,
+    # the first with the others' names.
+    while True:
+        lean = lean.fitted(motions, 4, plane=True)
+        left = motions.losses(lean.servos)
+        fall, returned = (left - whole).sum(0), False
+        lost = (fall > squares * left.sum(0)) & (fall > least.of(1))
+        for j in lost.nonzero().flatten().tolist():
+            gone = [name for name in needed if _left(model, needed, name)[j]]
+            if not gone:
+                continue
+            first = max(gone, key=lambda name: float(without[name][:, j].sum()))
+            if not any(at == j for _, at in rivals):
+                rivals[first, j] = tuple(name for name in gone if name != first)
+            here = motions.every if not BY_NAME[first].parameters else torch.arange(n) == j
+            needed[first] = needed[first] | here
+            without[first] = torch.where(here, left, without[first])
+            # As it was with all of them, but for those that are gone.
+            back = _without(model, needed, motions)
+            if not BY_NAME[first].parameters:
+                lean = replace(back, servos=replace(back.servos, joint=lean.servos.joint))
+            else:
+                lean = lean.joined(back, here)
+            returned = True
+        if not returned:
+            break
     worth = {
         name: (torch.where(needed[name], losses, torch.nan), whole)
         for name, losses in without.items()

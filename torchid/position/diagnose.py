@@ -199,9 +199,10 @@ def _ratios_alone(
     nor a known gain tells it, but for what a file's masses are unsure by."""
     data, by_file = answered.motions.data, answered.by_file
     none = torch.zeros_like(data.still)
-    if problem.file is not None:
-        # The file's gain and masses are the scale; the log refutes a gain beside masses alone.
-        free = none if data.weighed or by_file is None else ~by_file
+    # The file's gain and masses are the scale; the log refutes a gain beside masses alone.
+    free = none if data.weighed or by_file is None else ~by_file
+    without = ~none if problem.file is None else problem.doubted
+    if not bool(without.any()):
         return free, free
     k = known.names.index("kp")
     # Torques are searched as shares of kp, so that kp alone is that factor.
@@ -211,7 +212,8 @@ def _ratios_alone(
     std = known.deviations()[:, k]
     by_log = (std.square() - known.torque_std.square()).clamp(min=0).sqrt()
     unanchored = (unloaded & ~of_type & ~of_sheet) | (not data.weighed) | (by_log > UNSURE_SCALE)
-    return unanchored | (std > UNSURE_SCALE), unanchored
+    ratios = unanchored | (std > UNSURE_SCALE)
+    return torch.where(without, ratios, free), torch.where(without, unanchored, free)
 
 
 def refitted(arm: ServoArm, data: PositionData, *allowed: Servos) -> tuple[ServoArm, ...]:

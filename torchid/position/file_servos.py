@@ -96,7 +96,12 @@ def weighing_otherwise(data: PositionData) -> PositionData:
 
 
 def beside_file(
-    motions: Motions, model: ServoModel, file: Servos, squares: float, worth: Worth
+    motions: Motions,
+    model: ServoModel,
+    file: Servos,
+    squares: float,
+    worth: Worth,
+    doubted: Bool[Tensor, " n"],
 ) -> tuple[ServoModel, Bool[Tensor, " n"], Worth, Rivals]:
     """What of an answered model parts it from a file's servos.
 
@@ -111,6 +116,7 @@ def beside_file(
         file: its servos.
         squares: share of the squared error by which a number must lower it to be named.
         worth: of effects beside plain servos.
+        doubted: joints whose gain, as the file has it, is no number to hold anything against.
 
     Returns:
         The model, joints whose gain is the file's, what is worth a name beside the file, and what
@@ -121,7 +127,7 @@ def beside_file(
     for effect in (*GAINS, *(e for e in EFFECTS if e.parameters)):
         names = [p for p in PARAMETERS if p.name in effect.parameters]
         has = torch.stack([file.of(p.name) != p.neutral for p in names]).any(0)
-        asked = motions.every if effect in GAINS else has
+        asked = has if effect not in GAINS else ~doubted if effect is GAINS[0] else motions.every
         if not bool(asked.any()):
             continue
         held, scaled = _with_files_number(motions, model, file, effect, asked)
@@ -136,7 +142,7 @@ def beside_file(
         for j in torch.nonzero(either).flatten().tolist():
             rivals[effect.name, j] = (GAINS[0].name,)
         if effect is GAINS[0]:
-            by_file = ~needed
+            by_file = ~needed & ~doubted
             model = model.joined(held, by_file)
             fall = LeastFall.beside(motions, model.servos)
         before, with_it = worth.get(effect.name, (torch.full_like(whole, torch.nan), whole))

@@ -9,11 +9,14 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchid.effects.servo import INDEX
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
 from torchid.position.effects import KEPT
 from torchid.position.file_servos import Followed, follows
 from torchid.position.fit import errors_of_one
+from torchid.position.judge import equations
+from torchid.position.known_numbers import contradicted
 from torchid.position.model import ServoArm
 from torchid.position.repeats import PositionNoise, noise_of_repeats
 from torchid.position.rods import PER_METRE
@@ -22,7 +25,7 @@ from torchid.position.servo_model import Motions, ServoModel
 from torchid.robot.model import Robot
 from torchid.simulation.servo_loop import MIDDLE, Windows, windows_of
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
-from torchid.typing import Float
+from torchid.typing import Bool, Float
 
 MOST_WINDOWS = 250
 """That a search looks at [1]: more do not change what it finds, only how long it takes."""
@@ -46,6 +49,8 @@ class Problem:
         trusted: whether the masses of the robot's file are right.
         types: of the joints' servos: those of one name are units of one type.
         sheets: what their makers say of them, values by parameter.
+        gains: (n,) that all else that is known says where the file's contradicts it, else nan
+            [N m/rad]; None without a file.
     """
 
     data: PositionData
@@ -58,6 +63,7 @@ class Problem:
     trusted: bool = False
     types: Sequence[str] = ()
     sheets: Sequence[Mapping[str, float]] = ()
+    gains: Float[Tensor, " n"] | None = None
 
     @cached_property
     def noise(self) -> PositionNoise:
@@ -79,10 +85,18 @@ class Problem:
         """The servos of the robot's file as they are nearest."""
         return None if self.start is None else self.followed(self.few)
 
+    @cached_property
+    def doubted(self) -> Bool[Tensor, " n"]:
+        """Joints whose gain, as the file has it, all else that is known contradicts."""
+        return ~self.few.every if self.gains is None else self.gains.isfinite()
+
     def followed(self, motions: Motions) -> Followed:
         """How motions, of this arm or one like it, follow the servos of the robot's file."""
-        assert self.start is not None
-        return follows(motions, self.start.servos, self.simple.free, self.noise)
+        assert self.start is not None and self.gains is not None
+        servos, joint, k = self.start.servos, self.start.servos.joint.clone(), INDEX["kp"]
+        joint[:, k] = torch.where(self.doubted, self.gains, joint[:, k])
+        servos = replace(servos, joint=joint)
+        return follows(motions, servos, self.simple.free, self.noise)
 
 
 def pose(
@@ -104,7 +118,11 @@ def pose(
     few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
     squares = 1.0 - (1.0 - worthwhile) ** 2
     warnings = (*alike, *missing_commands(log), *_cautions(data))
-    return Problem(data, few, more, simple, start, squares, warnings)
+    gains = None
+    if start is not None:
+        plainly = equations(data, simple.servos, simple.free, few.windows)
+        gains = contradicted(data, start.servos, plainly)
+    return Problem(data, few, more, simple, start, squares, warnings, gains=gains)
 
 
 def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoModel]:
