@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import PLANE
+from torchid.effects.servo import PLANE, ServoEffect
 from torchid.parallel.pace import Pace
 from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
 from torchid.position.evidence import LeastFall
@@ -371,80 +371,84 @@ def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoM
     return model.joined(simple, simple.losses(motions) - least.left < call)
 
 
-def _left(model: ServoModel, needed: Mapping[str, Tensor], name: str) -> Bool[Tensor, " n"]:
-    """Joints on which an effect leaves; delay and offset are numbers of any servo, and stay."""
-    gone = model.where(BY_NAME[name]) & ~needed[name]
-    return gone & (BY_NAME[name] not in KEPT)
-
-
-def _without(model: ServoModel, needed: Mapping[str, Tensor], motions: Motions) -> ServoModel:
-    """A model without the effects that are not needed."""
-    for name in needed:
-        if bool((gone := _left(model, needed, name)).any()):
-            model = model.without(BY_NAME[name], gone, motions.data.usual)
-    return model
-
-
 def needed_effects(
     motions: Motions, model: ServoModel, squares: float
 ) -> tuple[ServoModel, Worth, Rivals]:
     """A model of the effects without which motion after motion is followed worse, all others
-    refitted; losses without each and with it; and what stands for it as well."""
-    whole, n = motions.losses(model.servos), model.servos.n
+    refitted; losses without each and with it; and what stands for it as well.
+
+    Each effect is left out alone, which says how much it takes away beside all others. With none of
+    them the largest returns to each joint that loses by that, and the next one, until none loses.
+    """
+    whole = motions.losses(model.servos)
     least, usual = LeastFall.beside(motions, model.servos), motions.data.usual
-    without: dict[str, Float[Tensor, "W n"]] = {}
-    needed: dict[str, Bool[Tensor, " n"]] = {}
-    for effect in EFFECTS:
-        has = model.where(effect)
-        if not bool(has.any()):
-            continue
-        less = model.without(effect, has, usual).fitted(motions, 8)
-        losses = motions.losses(less.servos)
-        # A joint loses no more than where it alone lacks the effect, and nothing gives way.
-        for j in has.nonzero().flatten().tolist() if effect.parameters else ():
-            alone = motions.losses(model.without(effect, torch.arange(n) == j, usual).servos)[:, j]
-            if float(alone.sum()) < float(losses[:, j].sum()):
-                losses[:, j] = alone
+    present = [e for e in EFFECTS if bool(model.where(e).any())]
+    rises = {e.name: _rise(motions, model, e, 4)[0] for e in present}
+    of_all = [e.name for e in present if not e.parameters]
+    chosen = {e.name: model.where(e) & (e in KEPT) for e in present}
+    order = {
+        j: sorted(
+            (e.name for e in present if e not in KEPT and bool(model.where(e)[j])),
+            key=lambda name: -float(rises[name][j]),
+        )
+        for j in range(model.servos.n)
+    }
+    while True:
+        lean = _with_only(model, chosen, motions).fitted(motions, 8, plane=True)
+        left = motions.losses(lean.servos)
+        fall = (left - whole).sum(0)
+        lost = (fall > squares * left.sum(0)) & (fall > least.of(1))
+        back = {j: order[j].pop(0) for j in lost.nonzero().flatten().tolist() if order[j]}
+        if not back:
+            break
+        for j, name in back.items():
+            if name in of_all:
+                chosen[name] = motions.every
+                order = {k: [x for x in names if x != name] for k, names in order.items()}
+            else:
+                chosen[name][j] = True
+    worth, whole = Worth(), motions.losses(lean.servos)
+    least = LeastFall.beside(motions, lean.servos)
+    for effect in (e for e in present if bool(lean.where(e).any())):
+        rise, losses = _rise(motions, lean, effect, 8)
         gain, total = motions.each(losses - whole), losses.sum(0)
         call = least.of(len(effect.parameters or PLANE))
         if not effect.parameters:  # a plane is there for all joints or for none
-            gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
-            call = call.sum().expand(n)
+            gain, total = gain.sum(1, keepdim=True).expand(-1, len(total)), total.sum().expand(
+                len(total)
+            )
+            call = call.sum().expand(len(total))
         often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)
-        keep = has & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
+        keep = lean.where(effect) & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect in KEPT:
-            keep &= model.beyond(effect, usual)
-        without[effect.name], needed[effect.name] = losses, keep
-    lean, rivals = _without(model, needed, motions), Rivals()
-    # Effects that stood for each other: one after the other returns while a joint loses without,
-    # the first with the others' names.
-    while True:
-        lean = lean.fitted(motions, 4, plane=True)
-        left = motions.losses(lean.servos)
-        fall, returned = (left - whole).sum(0), False
-        lost = (fall > squares * left.sum(0)) & (fall > least.of(1))
-        for j in lost.nonzero().flatten().tolist():
-            gone = [name for name in needed if _left(model, needed, name)[j]]
-            if not gone:
-                continue
-            first = max(gone, key=lambda name: float(without[name][:, j].sum()))
-            if not any(at == j for _, at in rivals):
-                rivals[first, j] = tuple(name for name in gone if name != first)
-            here = motions.every if not BY_NAME[first].parameters else torch.arange(n) == j
-            needed[first] = needed[first] | here
-            without[first] = torch.where(here, left, without[first])
-            # As it was with all of them, but for those that are gone.
-            back = _without(model, needed, motions)
-            if not BY_NAME[first].parameters:
-                lean = replace(back, servos=replace(back.servos, joint=lean.servos.joint))
-            else:
-                lean = lean.joined(back, here)
-            returned = True
-        if not returned:
-            break
-    worth = {
-        name: (torch.where(needed[name], losses, torch.nan), whole)
-        for name, losses in without.items()
-        if bool(needed[name].any())
-    }
-    return lean, worth, rivals
+            keep &= lean.beyond(effect, usual)
+        if bool(keep.any()):
+            worth[effect.name] = torch.where(keep, losses, torch.nan), whole
+    return lean, worth, {}
+
+
+def _rise(
+    motions: Motions, model: ServoModel, effect: ServoEffect, iterations: int
+) -> tuple[Float[Tensor, " n"], Float[Tensor, "W n"]]:
+    """Losses of windows without an effect, all else refitted, and how far they rise."""
+    has = model.where(effect)
+    less = model.without(effect, has, motions.data.usual).fitted(motions, iterations)
+    losses = motions.losses(less.servos)
+    # A joint loses no more than where it alone lacks the effect, and nothing gives way.
+    for j in has.nonzero().flatten().tolist() if effect.parameters else ():
+        here = torch.arange(len(has)) == j
+        alone = motions.losses(model.without(effect, here, motions.data.usual).servos)[:, j]
+        if float(alone.sum()) < float(losses[:, j].sum()):
+            losses[:, j] = alone
+    return losses.sum(0) - model.losses(motions), losses
+
+
+def _with_only(
+    model: ServoModel, chosen: Mapping[str, Bool[Tensor, " n"]], motions: Motions
+) -> ServoModel:
+    """A model with chosen effects alone."""
+    for name, on in chosen.items():
+        gone = model.where(BY_NAME[name]) & ~on
+        if bool(gone.any()):
+            model = model.without(BY_NAME[name], gone, motions.data.usual)
+    return model
