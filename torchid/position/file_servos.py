@@ -61,7 +61,7 @@ def follows(
     motions: Motions, servos: Servos, core: Mapping[str, Tensor], noise: PositionNoise
 ) -> Followed:
     """Which joints servos of a robot's file follow."""
-    data, model = motions.data, _as_file(motions, servos, core)
+    data, model = motions.data, as_file(motions, servos, core)
     # What windows leave alone is their starts'.
     least = CLEAR_EXCESS * noise.at_least(data.slight).square()
     near = [
@@ -71,15 +71,18 @@ def follows(
     return Followed(motions, model, torch.stack(near).any(0))
 
 
-def _as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:
+def as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:
     """Servos of a robot's file, each as it is nearest to the log: as said, later by what commands
     are held by, or without a limit of torque, where the file has it behind a damping that servos
     have behind the limit."""
-    ways = servos.joint.repeat(4, 1, 1)
-    ways[1::2, :, INDEX["delay"]] += 0.5 * motions.data.held
-    ways[2:, servos.of("damping_share") > 0, INDEX["clip"]] = math.inf
-    cost = [motions.losses(replace(servos, joint=way)).sum(0) for way in ways]
-    joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
+    if motions.data.beside is not None:
+        joint = motions.data.beside.servos.joint
+    else:
+        ways = servos.joint.repeat(4, 1, 1)
+        ways[1::2, :, INDEX["delay"]] += 0.5 * motions.data.held
+        ways[2:, servos.of("damping_share") > 0, INDEX["clip"]] = math.inf
+        cost = [motions.losses(replace(servos, joint=way)).sum(0) for way in ways]
+        joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
     fixed = {*core, "damping_share"}
     used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in fixed}
     free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}

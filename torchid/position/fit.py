@@ -122,6 +122,8 @@ def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor
     )
     rows = windows.start + torch.arange(len(q))[:, None]
     measured = data.q[rows.clamp(max=len(data.q) - 1)]
+    if data.beside is not None:
+        measured = measured - data.beside(windows)
     return (q - measured[..., None]).nan_to_num_(nan=0.0)
 
 

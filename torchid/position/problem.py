@@ -2,7 +2,7 @@
 servo and the robot's file leave there."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from torchid.log.model import Log
-from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare
+from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare, tracks_of
 from torchid.position.effects import KEPT
-from torchid.position.file_servos import Followed, follows
+from torchid.position.file_servos import Followed, as_file, follows
 from torchid.position.fit import errors_of_one
+from torchid.position.in_mujoco import Beside, FileInMujoco, along_lines, held, late
 from torchid.position.model import ServoArm
 from torchid.position.repeats import PositionNoise, noise_of_repeats
 from torchid.position.rods import PER_METRE
@@ -99,7 +100,8 @@ def pose(
     if start is not None:
         data = replace(data, damping_share=start.servos.of("damping_share"))
     windows = windows_of(data.tracks, WINDOW_S)
-    data, simple = _as_sent(data, some_of(windows, MOST_WINDOWS))
+    ways = Ways(some_of(windows, MOST_WINDOWS), start, _own_simulator(data, log, start, bool(alike)))
+    data, simple = ways.nearest(data)
     telling = _telling(data, simple, windows)
     few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
     squares = 1.0 - (1.0 - worthwhile) ** 2
@@ -107,31 +109,110 @@ def pose(
     return Problem(data, few, more, simple, start, squares, warnings)
 
 
-def _as_sent(data: PositionData, windows: Windows) -> tuple[PositionData, ServoModel]:
-    """The motions, and plain servos there, with commands that hold until the next one; or that go
-    on between rows, where these servos follow them nearer: no row tells then when they jumped."""
-    held = plain(Motions(data, windows))
-    at = data.tracks.jumping.nonzero().flatten()
-    if not len(at):
-        return data, held
+def _own_simulator(
+    data: PositionData, log: Log, start: ServoArm | None, parts: bool
+) -> Callable[[PositionData, bool], PositionData] | None:
+    """Motions beside MuJoCo's replay of the robot's file, with commands that hold from row to row
+    or not; None where no file of its own says all of the arm.
 
-    def sent(jump_at: Tensor) -> PositionData:
-        return replace(data, tracks=replace(data.tracks, jump_at=jump_at), held=0.0)
+    Args:
+        data: motions.
+        log: all of its rows.
+        start: the servos of the file.
+        parts: whether the motions are parts of one.
+    """
+    file = None if start is None else FileInMujoco.of(data.robot)
+    if file is None or start is None:
+        return None
+    fast, servos = tracks_of(log, data.scale), start.servos
 
-    every, row = windows_of(data.tracks, WINDOW_S), torch.zeros_like(data.q)
-    after = at[:, None] + torch.arange(max(2, round(JUMP_S / data.tracks.dt)))
-    jump_at, model = torch.full_like(row[:, 0], MIDDLE), held
-    for _ in range(3):
-        ways = [sent(jump_at.clone().index_fill_(0, at, place)) for place in PLACES]
-        apart = [every.on_rows(errors_of_one(x, model.servos, every), row.clone()) for x in ways]
-        squares = torch.stack(apart).square().sum(2)[:, after.clamp(max=len(row) - 1)].sum(2)
-        jump_at[at] = torch.tensor(PLACES, dtype=row.dtype)[squares.argmin(0)]
-        model = model.fitted(Motions(sent(jump_at), windows), 8)
-    motions = Motions(data, windows), Motions(sent(jump_at), windows)
-    # Both from where either may begin.
-    held = min(held, model.fitted(motions[0], 8), key=lambda m: float(m.losses(motions[0]).sum()))
-    fall = (held.losses(motions[0]) / model.losses(motions[1])).log()[~data.still].mean()
-    return (motions[1].data, model) if float(fall) > math.log(ALIKE_LOSS) else (data, held)
+    def beside(data: PositionData, holds: bool) -> PositionData:
+        commands = held(fast, parts) if holds else along_lines(data.tracks, parts)
+        return replace(data, beside=Beside(file, data, late(servos, data), commands))
+
+    return beside
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """How commands may have been sent, and by which servos the arm may have gone: plain ones, or
+    those of its file, by our kernel or by the file's own simulator.
+
+    Attributes:
+        windows: of the motions.
+        start: the file's servos, if it has any.
+        own: the motions beside the file's own simulator, if it has one.
+    """
+
+    windows: Windows
+    start: ServoArm | None
+    own: Callable[[PositionData, bool], PositionData] | None
+
+    def nearest(self, data: PositionData) -> tuple[PositionData, ServoModel]:
+        """The motions, and plain servos there, with commands that hold until the next one; or that
+        go on between rows, where servos follow them nearer: no row tells then when they jumped."""
+        held = plain(Motions(data, self.windows))
+        if not bool(data.tracks.jumping.any()):
+            return self._beside(data, held, holds=True)[:2]
+        _, _, best, _ = self._beside(data, held, holds=True)
+        sent, model = self._sent(data, best)
+        model = model if best is held else held.fitted(Motions(sent, self.windows), 8)
+        # Both from where either may begin.
+        motions = Motions(data, self.windows)
+        held = min(
+            held, model.fitted(motions, 8), key=lambda m: float(m.losses(motions).sum())
+        )
+        ways = self._beside(data, held, holds=True), self._beside(sent, model, holds=False)
+        fall = (ways[0][3] / ways[1][3]).log()[~data.still].mean()
+        return ways[float(fall) > math.log(ALIKE_LOSS)][:2]
+
+    def _beside(
+        self, data: PositionData, simple: ServoModel, *, holds: bool
+    ) -> tuple[PositionData, ServoModel, ServoModel, Float[Tensor, " n"]]:
+        """The motions beside the file's own simulator, unless the file's servos, all of their
+        numbers refitted, follow them nearer by our kernel alone; plain servos there; the nearest,
+        and what they leave."""
+        left = simple.losses(Motions(data, self.windows))
+        if self.start is None:
+            return data, simple, simple, left
+        ways = [Motions(data, self.windows)]
+        if self.own is not None:
+            ways.append(Motions(self.own(data, holds), self.windows))
+        fits = [as_file(m, self.start.servos, simple.free).fitted(m, 8, plane=True) for m in ways]
+        losses = [fit.losses(m) for fit, m in zip(fits, ways, strict=True)]
+        worse = self._mean(data, losses[-1]) - self._mean(data, losses[0])
+        k = len(ways) - 1 if worse < math.log(ALIKE_LOSS) else 0
+        if k:
+            simple = simple.fitted(ways[k], 8)
+            left = simple.losses(ways[k])
+        if self._mean(data, losses[k]) < self._mean(data, left):
+            return ways[k].data, simple, fits[k], losses[k]
+        return ways[k].data, simple, simple, left
+
+    @staticmethod
+    def _mean(data: PositionData, losses: Tensor) -> float:
+        return float(losses.clamp(min=1e-300).log()[~data.still].mean())
+
+    def _sent(self, data: PositionData, model: ServoModel) -> tuple[PositionData, ServoModel]:
+        """The motions with commands that go on between rows, and jump where the servos say, fitted
+        there."""
+        at = data.tracks.jumping.nonzero().flatten()
+
+        def sent(jump_at: Tensor) -> PositionData:
+            return replace(data, tracks=replace(data.tracks, jump_at=jump_at), held=0.0)
+
+        every, row = windows_of(data.tracks, WINDOW_S), torch.zeros_like(data.q)
+        after = at[:, None] + torch.arange(max(2, round(JUMP_S / data.tracks.dt)))
+        jump_at = torch.full_like(row[:, 0], MIDDLE)
+        for _ in range(3):
+            ways = [sent(jump_at.clone().index_fill_(0, at, place)) for place in PLACES]
+            apart = [
+                every.on_rows(errors_of_one(x, model.servos, every), row.clone()) for x in ways
+            ]
+            squares = torch.stack(apart).square().sum(2)[:, after.clamp(max=len(row) - 1)].sum(2)
+            jump_at[at] = torch.tensor(PLACES, dtype=row.dtype)[squares.argmin(0)]
+            model = model.fitted(Motions(sent(jump_at), self.windows), 8)
+        return sent(jump_at), model
 
 
 def with_motions(log: Log) -> tuple[Log, tuple[str, ...]]:

@@ -1,0 +1,204 @@
+"""A robot's MJCF, replayed by MuJoCo itself: with its integrator, its soft friction and limits, its
+contacts, and whatever else no servo here has a number for.
+
+Causes are found about that replay: what a servo's numbers change is told by our own kernel, which is
+fast and has every effect, and where the file as given goes by MuJoCo,
+
+    q(numbers) = kernel(numbers) - kernel(file) + MuJoCo(file).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from torchid.effects.servo import INDEX
+from torchid.robot.model import Robot
+from torchid.simulation.servo import Servos
+from torchid.simulation.servo_loop import MIDDLE, Tracks, Windows, jumps, rollout
+from torchid.typing import Float, Tensor
+
+if TYPE_CHECKING:
+    from torchid.position.data import PositionData
+
+Commands = Callable[[int, np.ndarray], np.ndarray]
+"""(K, n) of a motion, at times (K,) since its first row [s]."""
+RAN_AWAY = 50.0
+"""Position beyond which a simulation has left the arm [rad]."""
+FORGOTTEN = 20.0
+"""Time constants of a filter after which it no longer knows what was [1]."""
+ROUNDING = 1e-6
+"""Share of a step by which a row may come before it [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileInMujoco:
+    """An MJCF of which every joint has a servo.
+
+    Attributes:
+        model: MuJoCo's.
+        at: (n,) where each of the robot's joints is among all of them.
+        driven: (n,) by which actuator.
+    """
+
+    model: Any
+    at: list[int]
+    driven: list[int]
+
+    @classmethod
+    def of(cls, robot: Robot) -> "FileInMujoco | None":
+        """The file that a robot was read from; None where that is no MJCF, has joints or actuators
+        beside the robot's, or other bodies than the robot now has."""
+        path = Path(robot.source)
+        if path.suffix.lower() != ".xml" or not path.is_file():
+            return None
+        from torchid.robot.mjcf import compiled, driving, read_mjcf
+
+        model, given = compiled(path).model, read_mjcf(path)
+        alike = robot.joint_names == given.joint_names and torch.equal(robot.gravity, given.gravity)
+        if not alike or robot.parameters is None or given.parameters is None:
+            return None
+        if not torch.equal(robot.parameters.pi, given.parameters.pi):
+            return None
+        joints = {joint: actuator for actuator, joint, *_ in driving(model)}
+        at = [int(model.joint(name).id) for name in robot.joint_names]
+        if not robot.n == model.nv == model.nu == model.nq or sorted(joints) != sorted(at):
+            return None
+        return cls(model, at, [joints[k] for k in at])
+
+    def rollout(
+        self,
+        commands: Commands,
+        windows: Windows,
+        dt: float,
+        state: tuple[Float[Tensor, "W n"], Float[Tensor, "W n"]],
+        first: Tensor,
+    ) -> Float[Tensor, "L W n"] | None:
+        """Positions at the rows of windows, NaN after their ends; None where the simulation breaks.
+
+        Args:
+            commands: of motions.
+            windows: stretches of motions.
+            dt: sampling interval [s].
+            state: q and dq where windows begin [rad, rad/s].
+            first: (m,) first row of each motion.
+        """
+        import mujoco
+
+        h, n = float(self.model.opt.timestep), len(self.at)
+        out = np.full((int(windows.length.max()), len(windows.start), n), np.nan)
+        for w, (start, rows, motion) in enumerate(
+            zip(*(x.tolist() for x in (windows.start, windows.length, windows.motion)), strict=True)
+        ):
+            begun = (start - int(first[motion])) * dt
+            # Rows are in the step that begins at or before them.
+            row_times = dt * np.arange(rows)
+            step = np.floor(row_times / h + ROUNDING).astype(int)
+            rest = row_times - step * h
+            u = commands(motion, begun + h * np.arange(step[-1] + 1))
+            data = mujoco.MjData(self.model)
+            data.qpos[self.at], data.qvel[self.at] = (x[w].numpy() for x in state)
+            if self.model.na:
+                since = begun - FORGOTTEN * float(self.model.actuator_dynprm[:, 0].max())
+                data.act[:] = self._filtered(commands(motion, np.arange(since, begun + h / 2, h)))
+            row = 0
+            for k, ctrl in enumerate(u):
+                while row < rows and step[row] == k:
+                    out[row, w] = data.qpos[self.at] + rest[row] * data.qvel[self.at]
+                    row += 1
+                data.ctrl[self.driven] = ctrl
+                mujoco.mj_step(self.model, data)
+            if not np.abs(out[:rows, w]).max() < RAN_AWAY or data.warning.number.any():
+                return None
+        return torch.from_numpy(out)
+
+    def _filtered(self, before: Float[np.ndarray, "K n"]) -> np.ndarray:
+        """The actuators' states after commands, the first of which has been there for long: they
+        feel nothing of where the arm is."""
+        import mujoco
+
+        aside, model = mujoco.MjData(self.model), self.model
+        aside.ctrl[self.driven] = before[0]
+        held = np.clip(aside.ctrl, *model.actuator_ctrlrange.T)
+        has = model.actuator_actadr >= 0
+        limited = model.actuator_ctrllimited.astype(bool)
+        aside.act[model.actuator_actadr[has]] = np.where(limited, held, aside.ctrl)[has]
+        for ctrl in before[:-1]:
+            aside.ctrl[self.driven] = ctrl
+            mujoco.mj_step(model, aside)
+        return aside.act
+
+
+def late(servos: Servos, data: "PositionData") -> Servos:
+    """Servos of a file, later by what commands are held by."""
+    joint = servos.joint.clone()
+    joint[:, INDEX["delay"]] += 0.5 * data.held
+    return replace(servos, joint=joint)
+
+
+def held(tracks: Tracks, parts: bool) -> Commands:
+    """Commands that hold from their row to the next one, of motions or of parts of one."""
+    u, first, last = (x.numpy() for x in (tracks.u, tracks.first, tracks.last))
+    begin = np.zeros_like(first) if parts else first
+
+    def at(motion: int, t: np.ndarray) -> np.ndarray:
+        rows = first[motion] + np.floor(t / tracks.dt + ROUNDING).astype(int)
+        return u[rows.clip(begin[motion], last[motion])]
+
+    return at
+
+
+def along_lines(tracks: Tracks, parts: bool) -> Commands:
+    """Commands that go on between rows, but for those that jump; of motions or of parts of one."""
+    u, first, last = (x.numpy() for x in (tracks.u, tracks.first, tracks.last))
+    begin = np.zeros_like(first) if parts else first
+    lone = jumps(tracks.u.T).T.numpy()
+    when = np.full(len(u), MIDDLE) if tracks.jump_at is None else tracks.jump_at.numpy()
+
+    def at(motion: int, t: np.ndarray) -> np.ndarray:
+        place = (first[motion] + t / tracks.dt).clip(begin[motion], last[motion])
+        row = np.floor(place).astype(int)
+        part, after = (place - row)[:, None], np.minimum(row + 1, last[motion])
+        part = np.where(lone[row], part >= when[row][:, None], part)
+        return u[row] + part * (u[after] - u[row])
+
+    return at
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Where MuJoCo goes with a file beside where our kernel goes with its servos.
+
+    Attributes:
+        file: the MJCF.
+        data: the motions as our kernel has them.
+        servos: of the file, as late as the commands come.
+        commands: as `FileInMujoco.rollout` takes them.
+    """
+
+    file: FileInMujoco
+    data: "PositionData"
+    servos: Servos
+    commands: Commands
+    _known: dict[tuple[int, int], Tensor] = field(default_factory=dict, repr=False)
+
+    def __call__(self, windows: Windows) -> Float[Tensor, "L W n"]:
+        """MuJoCo's positions minus the kernel's at the rows of windows [rad]; 0 after their
+        ends, and of a simulation that breaks."""
+        keys = list(zip(windows.start.tolist(), windows.length.tolist(), strict=True))
+        new = torch.tensor([k for k, key in enumerate(keys) if key not in self._known])
+        if len(new):
+            for k, apart in zip(new.tolist(), self._of(windows.some(new)).unbind(1), strict=True):
+                self._known[keys[k]] = apart[: keys[k][1]]
+        return torch.nn.utils.rnn.pad_sequence([self._known[key] for key in keys])
+
+    def _of(self, windows: Windows) -> Tensor:
+        data, tracks = self.data, self.data.tracks
+        state = data.start(windows)
+        one = replace(self.servos, joint=self.servos.joint[None], plane=self.servos.plane[None])
+        own = rollout(one, data.body, tracks, windows, *state, measured=data.q)[..., 0]
+        far = self.file.rollout(self.commands, windows, tracks.dt, state, tracks.first)
+        return torch.zeros_like(own) if far is None else (far - own).nan_to_num(nan=0.0)
