@@ -182,7 +182,7 @@ ARMS = {
     "dampratio-forcerange": Arm("dampratio", "forcerange", 3, 2, FAST, "clip"),
     "dampratio-actuatorfrcrange": Arm("dampratio", "actuatorfrcrange", 2, 1, SLOW, "delay", 100),
     "biasprm": Arm("biasprm", "none", 4, 1, SLOW, "delay", 100),
-    "biasprm-forcerange": Arm("biasprm", "forcerange", 3, 5, SLOW, "friction"),
+    "biasprm-forcerange": Arm("biasprm", "forcerange", 3, 5, SLOW, "friction", friction=0.15),
     "biasprm-actuatorfrcrange": Arm("biasprm", "actuatorfrcrange", 6, 2, FAST, "kp"),
     "ref": Arm("kv", "none", 2, 2, FAST, "kp", special="ref"),
     "gainprm": Arm("biasprm", "none", 2, 1, FAST, "delay", 100, special="gainprm"),

@@ -22,7 +22,7 @@ from torchid.position.data import WINDOW_S, PositionData
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import CORE
 from torchid.position.equal import pooled, with_data_sheets
-from torchid.position.file_servos import changes_of
+from torchid.position.file_servos import changes_of, with_files_scale
 from torchid.position.findings import describe_findings
 from torchid.position.fit import NOISE
 from torchid.position.judge import Equations, equations, value_interval
@@ -115,6 +115,8 @@ def _how_well_known(
     data, model = answered.motions.data, answered.model
     more, odd = problem.more.windows, tuple[str, ...]()
     known = equations(data, model.servos, model.free, more, trusted=problem.trusted)
+    if problem.file is not None and data.weighed:
+        known = with_files_scale(known, problem.file.model.servos)
     if any(problem.sheets):
         known = with_data_sheets(known, problem.sheets, ~data.still)
     if len(set(problem.types) - {""}) and data.weighed:

@@ -33,7 +33,7 @@ from torchid.position.search import Rivals
 from torchid.position.servo_model import Motions, ServoModel, mostly_better
 from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import body_near, windows_of
-from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, TELLING_STD
+from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, SET_MASS, TELLING_STD
 from torchid.typing import Bool, Float
 
 _TORQUES = [INDEX[name] for name in TORQUES]
@@ -130,6 +130,14 @@ def beside_file(
         held, scaled = _with_files_number(motions, model, file, effect, asked)
         whole, one = (motions.losses(m.servos) for m in (model, held))
         two = one if scaled is held else motions.losses(scaled.servos)
+        for j in asked.nonzero().flatten().tolist():
+            # A joint loses no more than where its number alone is the file's: others feel what a
+            # joint does.
+            here = torch.arange(len(asked)) == j
+            alone = motions.losses(model.joined(ServoModel(file, {}), here, effect.parameters).servos)
+            for way in (one, two):
+                if float(alone[:, j].sum()) < float(way[:, j].sum()):
+                    way[:, j] = alone[:, j]
         # Where the gain is the file's, another one is no way to keep the file's number.
         without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
         needed = asked & _differs(motions, model, file, names)
@@ -147,6 +155,34 @@ def beside_file(
         worth[effect.name] = named, with_it
     worth = {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
     return model, by_file, worth, rivals
+
+
+def with_files_scale(known: Equations, file: Servos) -> Equations:
+    """How well torques are known as a whole, where the log has other torques of a servo as the file
+    says, in the scale of its masses: were these wrong, all that agree would be so by one factor.
+
+    Args:
+        known: the answer.
+        file: its servos.
+    """
+    sure = replace(known, torque_std=torch.zeros_like(known.torque_std))
+    std, luck = sure.deviations(), torch.ones_like(known.torque_std)
+    closest = torch.full_like(luck, math.inf)
+    for k, name in enumerate(known.names):
+        was, now = file.of(name), known.servos.of(name)
+        if name not in TORQUES or name == "kp":
+            continue
+        p = PARAMETERS[INDEX[name]]
+        log = p.kind == "log"
+        share = std[:, k] if log else std[:, k] / was.abs()
+        away = (now / was - 1) / share
+        agrees = known.mask[:, k] & (was > 0) & was.isfinite() & (away.abs() < MOVED_STD)
+        # Beside a file that says nothing of it.
+        chance = share * (away.square() / 2).exp() / (p.prior if log else 1.0)
+        luck = torch.where(agrees, luck * chance.clamp(max=1.0), luck)
+        closest = torch.where(agrees & (share < closest), share, closest)
+    told = torch.where(luck < 1 - SET_MASS, closest, math.inf)
+    return replace(known, torque_std=torch.minimum(known.torque_std, told))
 
 
 def _differs(

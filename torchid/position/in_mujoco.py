@@ -69,6 +69,19 @@ class FileInMujoco:
             return None
         return cls(model, at, [joints[k] for k in at])
 
+    @property
+    def range(self) -> Float[np.ndarray, "2 nu"]:
+        """Of commands, by actuator."""
+        free = ~self.model.actuator_ctrllimited.astype(bool)
+        ends = self.model.actuator_ctrlrange.T.copy()
+        ends[:, free] = [[-np.inf], [np.inf]]
+        return ends
+
+    def taken(self, tracks: Tracks) -> Tracks:
+        """Commands as far as actuators take them."""
+        low, high = torch.from_numpy(self.range[:, self.driven])
+        return replace(tracks, u=tracks.u.clamp(low, high))
+
     def rollout(
         self,
         commands: Commands,
@@ -122,10 +135,8 @@ class FileInMujoco:
 
         aside, model = mujoco.MjData(self.model), self.model
         aside.ctrl[self.driven] = before[0]
-        held = np.clip(aside.ctrl, *model.actuator_ctrlrange.T)
         has = model.actuator_actadr >= 0
-        limited = model.actuator_ctrllimited.astype(bool)
-        aside.act[model.actuator_actadr[has]] = np.where(limited, held, aside.ctrl)[has]
+        aside.act[model.actuator_actadr[has]] = aside.ctrl.clip(*self.range)[has]
         for ctrl in before[:-1]:
             aside.ctrl[self.driven] = ctrl
             mujoco.mj_step(model, aside)

@@ -128,6 +128,7 @@ def _own_simulator(
 
     def beside(data: PositionData, holds: bool) -> PositionData:
         commands = held(fast, parts) if holds else along_lines(data.tracks, parts)
+        data = replace(data, tracks=file.taken(data.tracks), set_points={})
         return replace(data, beside=Beside(file, data, late(servos, data), commands))
 
     return beside
