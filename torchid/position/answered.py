@@ -308,14 +308,18 @@ def _weighing_as_log(problem: Problem) -> Problem:
 def _beside_file_servos(
     few: Motions, file: ServoModel, free: Mapping[str, Tensor], early: EarlyAnswer | None
 ) -> SingleEffects:
-    """One number a joint beside what a file's servos have, and gains and what else is free
-    refitted."""
+    """The numbers that a file's servos have, refitted; where these leave a gap one more a joint
+    beside them."""
+    numbers = settled(few, file)
+    explained = numbers.losses(few) <= few.slight
+    if bool((explained | few.data.still).all()):
+        return SingleEffects(numbers, explained, {})
     # How late commands come within a sample is no cause.
     fixed = replace(file, free={"delay": few.every})
     effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
     single = best_single_effect_per_joint(few, fixed, early, effects).model
     freed = replace(single, free={**free, **single.free})
-    model = freed.fitted(few, 8, plane=True)
+    model = _no_worse(few, numbers, freed.fitted(few, 8, plane=True))
     # What came as near before the gains were refitted is no rival yet.
     return SingleEffects(model, model.losses(few) <= few.slight, {})
 
