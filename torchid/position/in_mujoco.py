@@ -7,7 +7,9 @@ fast and has every effect, and where the file as given goes by MuJoCo,
     q(numbers) = kernel(numbers) - kernel(file) + MuJoCo(file).
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from torchid.effects.servo import INDEX
+from torchid.effects.servo import INDEX, NAMES
+from torchid.position.fit import searched
 from torchid.robot.model import Robot
 from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import MIDDLE, Tracks, Windows, jumps, rollout
@@ -41,12 +44,13 @@ class FileInMujoco:
     Attributes:
         model: MuJoCo's.
         at: (n,) where each of the robot's joints is among all of them.
-        driven: (n,) by which actuator.
+        driven, gears: (n,) by which actuator, and how many of its radians one of the joint's is.
     """
 
     model: Any
     at: list[int]
     driven: list[int]
+    gears: list[float]
 
     @classmethod
     def of(cls, robot: Robot) -> "FileInMujoco | None":
@@ -63,11 +67,11 @@ class FileInMujoco:
             return None
         if not torch.equal(robot.parameters.pi, given.parameters.pi):
             return None
-        joints = {joint: actuator for actuator, joint, *_ in driving(model)}
+        joints = {joint: (actuator, gear) for actuator, joint, gear, _ in driving(model)}
         at = [int(model.joint(name).id) for name in robot.joint_names]
         if not robot.n == model.nv == model.nu == model.nq or sorted(joints) != sorted(at):
             return None
-        return cls(model, at, [joints[k] for k in at])
+        return cls(model, at, [joints[k][0] for k in at], [joints[k][1] for k in at])
 
     @property
     def range(self) -> Float[np.ndarray, "2 nu"]:
@@ -81,6 +85,35 @@ class FileInMujoco:
         """Commands as far as actuators take them."""
         low, high = torch.from_numpy(self.range[:, self.driven])
         return replace(tracks, u=tracks.u.clamp(low, high))
+
+    def having(self, file: Servos, servos: Servos) -> "FileInMujoco":
+        """It with other numbers of its servos.
+
+        Args:
+            file: its servos as they are read from it.
+            servos: others, of which delays are the commands'.
+        """
+        import mujoco
+
+        model = copy(self.model)
+        new, old = ({p: x.of(p).tolist() for p in NAMES} for x in (servos, file))
+        for j, (joint, a) in enumerate(zip(self.at, self.driven, strict=True)):
+            more = {p: new[p][j] - old[p][j] for p in NAMES}
+            ratio = {p: new[p][j] / old[p][j] if old[p][j] else 1.0 for p in ("kp", "scale", "clip")}
+            gear, inside = self.gears[j], old["damping_share"][j] * more["damping"]
+            model.actuator_gainprm[a, 0] *= ratio["kp"] * ratio["scale"]
+            model.actuator_biasprm[a, :3] *= 1.0, ratio["kp"], 1.0
+            model.actuator_biasprm[a, :3] += more["offset"] / gear, 0.0, -inside / gear**2
+            model.dof_damping[joint] += more["damping"] - inside
+            model.dof_armature[joint] += more["armature"]
+            model.dof_frictionloss[joint] += more["coulomb"]
+            if math.isfinite(ratio["clip"]):
+                model.actuator_forcerange[a] *= ratio["clip"]
+                model.jnt_actfrcrange[joint] *= ratio["clip"]
+            if model.actuator_actadr[a] >= 0:
+                model.actuator_dynprm[a, 0] += more["lag"]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return replace(self, model=model)
 
     def rollout(
         self,
@@ -179,26 +212,64 @@ def along_lines(tracks: Tracks, parts: bool) -> Commands:
     return at
 
 
+def later(commands: Commands, seconds: Sequence[float]) -> Commands:
+    """Commands that come so much later (n,)."""
+
+    def at(motion: int, t: np.ndarray) -> np.ndarray:
+        columns = [commands(motion, t - late)[:, j] for j, late in enumerate(seconds)]
+        return np.stack(columns, 1)
+
+    return at
+
+
 @dataclass(frozen=True, eq=False)
 class Beside:
     """Where MuJoCo goes with a file beside where our kernel goes with its servos.
+
+    What parts the two is not the same with other numbers: where these are known about, it is what
+    it is there, and in proportion on the way there.
 
     Attributes:
         file: the MJCF.
         data: the motions as our kernel has them.
         servos: of the file, as late as the commands come.
-        commands: as `FileInMujoco.rollout` takes them.
+        commands: of the motions.
+        there: the same with other numbers.
     """
 
     file: FileInMujoco
     data: "PositionData"
     servos: Servos
     commands: Commands
+    there: "Beside | None" = None
     _known: dict[tuple[int, int], Tensor] = field(default_factory=dict, repr=False)
 
-    def __call__(self, windows: Windows) -> Float[Tensor, "L W n"]:
+    def about(self, servos: Servos) -> "Beside":
+        """It, known with other numbers, too."""
+        delays = (servos.of("delay") - self.servos.of("delay")).tolist()
+        file, commands = self.file.having(self.servos, servos), later(self.commands, delays)
+        return replace(self, there=Beside(file, self.data, servos, commands))
+
+    def __call__(self, windows: Windows, servos: Float[Tensor, "*P n K"]) -> Float[Tensor, "L W n #P"]:
         """MuJoCo's positions minus the kernel's at the rows of windows [rad]; 0 after their
-        ends, and of a simulation that breaks."""
+        ends, and of a simulation that breaks.
+
+        Args:
+            windows: stretches of motions.
+            servos: searched coordinates of sets, or of one a window.
+        """
+        apart = self.apart(windows)[..., None]
+        if self.there is None:
+            return apart
+        here, there = (searched(x) for x in (self.servos, self.there.servos))
+        way = (there - here).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
+        gone = (servos - here).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
+        share = (gone * way).sum((-2, -1)) / way.square().sum().clamp(min=1e-300)
+        share = share.clamp(0, 1) if share.ndim < 2 else share.clamp(0, 1)[:, None]
+        return apart + share * (self.there.apart(windows)[..., None] - apart)
+
+    def apart(self, windows: Windows) -> Float[Tensor, "L W n"]:
+        """The same with the file's own numbers."""
         keys = list(zip(windows.start.tolist(), windows.length.tolist(), strict=True))
         new = torch.tensor([k for k, key in enumerate(keys) if key not in self._known])
         if len(new):

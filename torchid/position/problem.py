@@ -28,6 +28,9 @@ from torchid.typing import Float
 MOST_WINDOWS = 250
 """That a search looks at [1]: more do not change what it finds, only how long it takes."""
 
+ROUNDS = 2
+"""Of fits of a file's numbers, each about where the file's own simulator goes with those before."""
+
 JUMP_S, PLACES = 0.3, (0.0, 0.25, 0.5, 0.75, 1.0)
 """Time after a jump of the commands that tells when it was [s]; and when it may have been [samples
 after the row before]."""
@@ -176,19 +179,25 @@ class Ways:
         left = simple.losses(Motions(data, self.windows))
         if self.start is None:
             return data, simple, simple, left
-        ways = [Motions(data, self.windows)]
-        if self.own is not None:
-            ways.append(Motions(self.own(data, holds), self.windows))
-        fits = [as_file(m, self.start.servos, simple.free).fitted(m, 8, plane=True) for m in ways]
-        losses = [fit.losses(m) for fit, m in zip(fits, ways, strict=True)]
+        ways = [data] if self.own is None else [data, self.own(data, holds)]
+        motions, fits = [], []
+        for way in ways:
+            for turn in range(1 + ROUNDS * (way.beside is not None)):
+                if turn and way.beside is not None:
+                    way = replace(way, beside=way.beside.about(fits.pop().servos))
+                    motions.pop()
+                motions.append(Motions(way, self.windows))
+                file = as_file(motions[-1], self.start.servos, simple.free)
+                fits.append(file.fitted(motions[-1], 8, plane=True))
+        losses = [fit.losses(m) for fit, m in zip(fits, motions, strict=True)]
         worse = self._mean(data, losses[-1]) - self._mean(data, losses[0])
         k = len(ways) - 1 if worse < math.log(ALIKE_LOSS) else 0
         if k:
-            simple = simple.fitted(ways[k], 8)
-            left = simple.losses(ways[k])
+            simple = simple.fitted(motions[k], 8)
+            left = simple.losses(motions[k])
         if self._mean(data, losses[k]) < self._mean(data, left):
-            return ways[k].data, simple, fits[k], losses[k]
-        return ways[k].data, simple, simple, left
+            return motions[k].data, simple, fits[k], losses[k]
+        return motions[k].data, simple, simple, left
 
     @staticmethod
     def _mean(data: PositionData, losses: Tensor) -> float:
