@@ -78,7 +78,7 @@ def diagnose_positions(
         sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
         pace: hears which of `STAGES` begins, and says how much time there is.
-        watch: called with an `Answer` of status `searching` whenever more is known.
+        watch: called with an `Answer` of status `searching`, without causes, where a search begins.
 
     Returns:
         The answer; its `corrected` arm is what `torchid.replay` moves.

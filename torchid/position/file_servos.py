@@ -134,7 +134,9 @@ def beside_file(
             # A joint loses no more than where its number alone is the file's: others feel what a
             # joint does.
             here = torch.arange(len(asked)) == j
-            alone = motions.losses(model.joined(ServoModel(file, {}), here, effect.parameters).servos)
+            alone = motions.losses(
+                model.joined(ServoModel(file, {}), here, effect.parameters).servos
+            )
             for way in (one, two):
                 if float(alone[:, j].sum()) < float(way[:, j].sum()):
                     way[:, j] = alone[:, j]

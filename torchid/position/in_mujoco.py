@@ -1,8 +1,8 @@
 """A robot's MJCF, replayed by MuJoCo itself: with its integrator, its soft friction and limits, its
 contacts, and whatever else no servo here has a number for.
 
-Causes are found about that replay: what a servo's numbers change is told by our own kernel, which is
-fast and has every effect, and where the file as given goes by MuJoCo,
+Causes are found about that replay: what a servo's numbers change is told by our own kernel, which
+is fast and has every effect, and where the file as given goes by MuJoCo,
 
     q(numbers) = kernel(numbers) - kernel(file) + MuJoCo(file).
 """
@@ -99,7 +99,9 @@ class FileInMujoco:
         new, old = ({p: x.of(p).tolist() for p in NAMES} for x in (servos, file))
         for j, (joint, a) in enumerate(zip(self.at, self.driven, strict=True)):
             more = {p: new[p][j] - old[p][j] for p in NAMES}
-            ratio = {p: new[p][j] / old[p][j] if old[p][j] else 1.0 for p in ("kp", "scale", "clip")}
+            ratio = {
+                p: new[p][j] / old[p][j] if old[p][j] else 1.0 for p in ("kp", "scale", "clip")
+            }
             gear, inside = self.gears[j], old["damping_share"][j] * more["damping"]
             model.actuator_gainprm[a, 0] *= ratio["kp"] * ratio["scale"]
             model.actuator_biasprm[a, :3] *= 1.0, ratio["kp"], 1.0
@@ -250,7 +252,9 @@ class Beside:
         file, commands = self.file.having(self.servos, servos), later(self.commands, delays)
         return replace(self, there=Beside(file, self.data, servos, commands))
 
-    def __call__(self, windows: Windows, servos: Float[Tensor, "*P n K"]) -> Float[Tensor, "L W n #P"]:
+    def __call__(
+        self, windows: Windows, servos: Float[Tensor, "*P n K"]
+    ) -> Float[Tensor, "L W n #P"]:
         """MuJoCo's positions minus the kernel's at the rows of windows [rad]; 0 after their
         ends, and of a simulation that breaks.
 

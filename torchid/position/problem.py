@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare, tracks_of
-from torchid.position.effects import KEPT
+from torchid.position.effects import CORE, KEPT
 from torchid.position.file_servos import Followed, as_file, follows
 from torchid.position.fit import errors_of_one
 from torchid.position.in_mujoco import Beside, FileInMujoco, along_lines, held, late
@@ -103,7 +103,9 @@ def pose(
     if start is not None:
         data = replace(data, damping_share=start.servos.of("damping_share"))
     windows = windows_of(data.tracks, WINDOW_S)
-    ways = Ways(some_of(windows, MOST_WINDOWS), start, _own_simulator(data, log, start, bool(alike)))
+    ways = Ways(
+        some_of(windows, MOST_WINDOWS), start, _own_simulator(data, log, start, bool(alike))
+    )
     data, simple = ways.nearest(data)
     telling = _telling(data, simple, windows)
     few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
@@ -137,6 +139,10 @@ def _own_simulator(
     return beside
 
 
+Way = tuple[PositionData, ServoModel]
+"""Motions, and servos that were fitted to them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ways:
     """How commands may have been sent, and by which servos the arm may have gone: plain ones, or
@@ -155,53 +161,59 @@ class Ways:
     def nearest(self, data: PositionData) -> tuple[PositionData, ServoModel]:
         """The motions, and plain servos there, with commands that hold until the next one; or that
         go on between rows, where servos follow them nearer: no row tells then when they jumped."""
-        held = plain(Motions(data, self.windows))
+        motions, fits = Motions(data, self.windows), self._by_file(data, holds=True)
+        held = plain(motions)
         if not bool(data.tracks.jumping.any()):
-            return self._beside(data, held, holds=True)[:2]
-        _, _, best, _ = self._beside(data, held, holds=True)
+            return self._followed((data, held), fits)[:2]
+        best = min([held, *(m for x, m in fits if x is data)], key=lambda m: self._left(data, m))
         sent, model = self._sent(data, best)
         model = model if best is held else held.fitted(Motions(sent, self.windows), 8)
         # Both from where either may begin.
-        motions = Motions(data, self.windows)
-        held = min(
-            held, model.fitted(motions, 8), key=lambda m: float(m.losses(motions).sum())
+        held = min(held, model.fitted(motions, 8), key=lambda m: float(m.losses(motions).sum()))
+        ways = (
+            self._followed((data, held), fits),
+            self._followed((sent, model), self._by_file(sent, holds=False)),
         )
-        ways = self._beside(data, held, holds=True), self._beside(sent, model, holds=False)
-        fall = (ways[0][3] / ways[1][3]).log()[~data.still].mean()
-        return ways[float(fall) > math.log(ALIKE_LOSS)][:2]
+        return ways[ways[0][2] - ways[1][2] > math.log(ALIKE_LOSS)][:2]
 
-    def _beside(
-        self, data: PositionData, simple: ServoModel, *, holds: bool
-    ) -> tuple[PositionData, ServoModel, ServoModel, Float[Tensor, " n"]]:
-        """The motions beside the file's own simulator, unless the file's servos, all of their
-        numbers refitted, follow them nearer by our kernel alone; plain servos there; the nearest,
-        and what they leave."""
-        left = simple.losses(Motions(data, self.windows))
+    def _left(self, data: PositionData, model: ServoModel) -> float:
+        """Mean logarithm of the losses on joints that move."""
+        losses = model.losses(Motions(data, self.windows)).clamp(min=1e-300)
+        return float(losses.log()[~data.still].mean())
+
+    def _by_file(self, data: PositionData, *, holds: bool) -> list[Way]:
+        """The file's servos with all of their numbers refitted by our kernel; and by the file's own
+        simulator, if it has one, as they are and refitted."""
         if self.start is None:
-            return data, simple, simple, left
-        ways = [data] if self.own is None else [data, self.own(data, holds)]
-        motions, fits = [], []
-        for way in ways:
-            for turn in range(1 + ROUNDS * (way.beside is not None)):
-                if turn and way.beside is not None:
-                    way = replace(way, beside=way.beside.about(fits.pop().servos))
-                    motions.pop()
-                motions.append(Motions(way, self.windows))
-                file = as_file(motions[-1], self.start.servos, simple.free)
-                fits.append(file.fitted(motions[-1], 8, plane=True))
-        losses = [fit.losses(m) for fit, m in zip(fits, motions, strict=True)]
-        worse = self._mean(data, losses[-1]) - self._mean(data, losses[0])
-        k = len(ways) - 1 if worse < math.log(ALIKE_LOSS) else 0
-        if k:
-            simple = simple.fitted(motions[k], 8)
-            left = simple.losses(motions[k])
-        if self._mean(data, losses[k]) < self._mean(data, left):
-            return motions[k].data, simple, fits[k], losses[k]
-        return motions[k].data, simple, simple, left
+            return []
+        ways = [(data, self._refitted(data))]
+        if self.own is not None:
+            data = self.own(data, holds)
+            for _ in range(ROUNDS):
+                assert data.beside is not None
+                data = replace(data, beside=data.beside.about(self._refitted(data).servos))
+            ways += [(data, self._file(data)), (data, self._refitted(data))]
+        return ways
 
-    @staticmethod
-    def _mean(data: PositionData, losses: Tensor) -> float:
-        return float(losses.clamp(min=1e-300).log()[~data.still].mean())
+    def _file(self, data: PositionData) -> ServoModel:
+        assert self.start is not None
+        motions = Motions(data, self.windows)
+        return as_file(motions, self.start.servos, dict.fromkeys(CORE, motions.every))
+
+    def _refitted(self, data: PositionData) -> ServoModel:
+        return self._file(data).fitted(Motions(data, self.windows), 8, plane=True)
+
+    def _followed(self, plain: Way, fits: Sequence[Way]) -> tuple[PositionData, ServoModel, float]:
+        """The motions beside the file's own simulator, unless our kernel alone follows them much
+        nearer; plain servos there; and what the nearest servos leave."""
+        data, simple = plain
+        alone = min(self._left(*way) for way in (plain, *fits) if way[0] is data)
+        beside = min((self._left(*way) for way in fits if way[0] is not data), default=math.inf)
+        if beside - alone > math.log(ALIKE_LOSS):
+            return data, simple, alone
+        data = fits[-1][0]
+        simple = simple.fitted(Motions(data, self.windows), 8)
+        return data, simple, min(beside, self._left(data, simple))
 
     def _sent(self, data: PositionData, model: ServoModel) -> tuple[PositionData, ServoModel]:
         """The motions with commands that go on between rows, and jump where the servos say, fitted
