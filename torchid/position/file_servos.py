@@ -144,6 +144,11 @@ def beside_file(
         without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
         needed = asked & _differs(motions, model, file, names)
         least = torch.maximum(fall.of(len(effect.parameters)), squares * without.sum(0))
+        if effect is GAINS[0]:
+            # The file's gain is no simpler where others of its numbers must go for it.
+            more = _gone(motions, held, file, fall) - _gone(motions, model, file, fall)
+            least = torch.minimum(least, fall.of(1.0, more))
+            without = fall.risen(motions, without, more.clamp(min=0))
         needed &= _needed(motions, whole, without, least)
         either = needed & by_file & ~_needed(motions, whole, two, least)
         for j in torch.nonzero(either).flatten().tolist():
@@ -185,6 +190,26 @@ def with_files_scale(known: Equations, file: Servos) -> Equations:
         closest = torch.where(agrees & (share < closest), share, closest)
     told = torch.where(luck < 1 - SET_MASS, closest, math.inf)
     return replace(known, torque_std=torch.minimum(known.torque_std, told))
+
+
+def _gone(
+    motions: Motions, model: ServoModel, file: Servos, fall: LeastFall
+) -> Float[Tensor, " n"]:
+    """How many numbers beside the gain are others than a file's on each joint: those that cannot be
+    the file's, nothing else refitted."""
+    n, whole = model.servos.n, model.losses(motions)
+    count = torch.zeros_like(whole)
+    for effect in GAINS[1:]:
+        sets = replace(
+            model.servos,
+            joint=model.servos.joint.repeat(n, 1, 1),
+            plane=model.servos.plane.repeat(n, 1),
+        )
+        for j in range(n):
+            for name in effect.parameters:
+                sets.joint[j, j, INDEX[name]] = file.of(name)[j]
+        count += motions.losses_of_sets(sets).diagonal() - whole > fall.of(1)
+    return count
 
 
 def _differs(

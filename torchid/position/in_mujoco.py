@@ -19,9 +19,10 @@ import torch
 
 from torchid.effects.servo import INDEX, NAMES
 from torchid.position.fit import searched
+from torchid.results.words import digits
 from torchid.robot.model import Robot
 from torchid.simulation.servo import Servos
-from torchid.simulation.servo_loop import MIDDLE, Tracks, Windows, jumps, rollout
+from torchid.simulation.servo_loop import MIDDLE, Tracks, Windows, jumps, rollout, windows_of
 from torchid.typing import Float, Tensor
 
 if TYPE_CHECKING:
@@ -33,6 +34,15 @@ RAN_AWAY = 50.0
 """Position beyond which a simulation has left the arm [rad]."""
 FORGOTTEN = 20.0
 """Time constants of a filter after which it no longer knows what was [1]."""
+AGREES, COUNT_STD = 0.05, 12**0.5
+"""Error up to which the kernel agrees with MuJoCo [mrad], if it is no more than a tenth of a count;
+and an encoder's count over what rounding to it leaves [1]."""
+_FIELDS = {
+    "contact": ("mjDSBL_CONTACT", "geom_contype"),
+    "joint range": ("mjDSBL_LIMIT", "jnt_limited"),
+    "frictionloss": ("mjDSBL_FRICTIONLOSS", "dof_frictionloss"),
+}
+"""What MuJoCo has otherwise than our kernel: how it is left out, and where a file has it."""
 ROUNDING = 1e-6
 """Share of a step by which a row may come before it [1]."""
 
@@ -272,6 +282,14 @@ class Beside:
         share = share.clamp(0, 1) if share.ndim < 2 else share.clamp(0, 1)[:, None]
         return apart + share * (self.there.apart(windows)[..., None] - apart)
 
+    def unsure(self, windows: Windows) -> Float[Tensor, " n"]:
+        """RMS error of what is taken to part MuJoCo from our kernel on the way to the other numbers
+        [rad]: where it grows as a square, a line errs by a quarter of its change."""
+        if self.there is None:
+            return torch.zeros(self.servos.n, dtype=torch.float64)
+        change = (self.there.apart(windows) - self.apart(windows)) * windows.weight[:, None].sqrt()
+        return 0.25 * (change.square().sum((0, 1)) / windows.rows).sqrt()
+
     def apart(self, windows: Windows) -> Float[Tensor, "L W n"]:
         """The same with the file's own numbers."""
         keys = list(zip(windows.start.tolist(), windows.length.tolist(), strict=True))
@@ -280,6 +298,44 @@ class Beside:
             for k, apart in zip(new.tolist(), self._of(windows.some(new)).unbind(1), strict=True):
                 self._known[keys[k]] = apart[: keys[k][1]]
         return torch.nn.utils.rnn.pad_sequence([self._known[key] for key in keys])
+
+    def words(self) -> tuple[str, ...]:
+        """Where our kernel goes elsewhere than MuJoCo with the file's own numbers, as one sentence;
+        none where they agree."""
+        whole, least = windows_of(self.data.tracks, None), 0.1 * COUNT_STD * self.data.resolution
+
+        def rms(one: Beside) -> Tensor:
+            apart = one.apart(whole).square().sum((0, 1)) / whole.rows
+            return 1e3 * apart.sqrt()
+
+        parted = rms(self)
+        j = int(parted.argmax())
+        if not float(parted[j]) > max(AGREES, 1e3 * float(least[j])):
+            return ()
+        model, shares = self.file.model, dict[str, float]()
+        for name, (flag, has) in _FIELDS.items():
+            if getattr(model, has).any():
+                left = float(rms(self._without(flag, name))[j])
+                shares[name] = math.sqrt(max(float(parted[j]) ** 2 - left**2, 0.0))
+        rest = float(parted[j]) ** 2 - sum(x**2 for x in shares.values())
+        shares["steps of the simulations"] = math.sqrt(max(rest, 0.0))
+        parts = ", ".join(f"{name} {digits(x)}" for name, x in shares.items() if x > AGREES)
+        return (
+            f"With the file's numbers joint {j + 1} goes {digits(float(parted[j]))} mrad elsewhere "
+            f"in MuJoCo than in torchid's own simulation ({parts}): MuJoCo's is what causes are "
+            "held against.",
+        )
+
+    def _without(self, flag: str, name: str) -> "Beside":
+        """It without one of MuJoCo's forces, which our kernel's servos lack, too."""
+        import mujoco
+
+        model, joint = copy(self.file.model), self.servos.joint.clone()
+        model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, flag))
+        if name == "frictionloss":
+            joint[:, INDEX["coulomb"]] = 0.0
+        file, servos = replace(self.file, model=model), replace(self.servos, joint=joint)
+        return Beside(file, self.data, servos, self.commands)
 
     def _of(self, windows: Windows) -> Tensor:
         data, tracks = self.data, self.data.tracks

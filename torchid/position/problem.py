@@ -110,7 +110,8 @@ def pose(
     telling = _telling(data, simple, windows)
     few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
     squares = 1.0 - (1.0 - worthwhile) ** 2
-    warnings = (*alike, *missing_commands(log), *_cautions(data))
+    apart = () if data.beside is None else data.beside.words()
+    warnings = (*alike, *missing_commands(log), *_cautions(data), *apart)
     return Problem(data, few, more, simple, start, squares, warnings)
 
 
