@@ -22,7 +22,7 @@ from torchid.effects.servo import (
     ServoParameter,
     as_share,
 )
-from torchid.position.data import PositionData
+from torchid.position.data import UNEVEN, PositionData
 from torchid.position.effects import EFFECTS, GAINS
 from torchid.position.evidence import LeastFall
 from torchid.position.judge import Equations
@@ -32,7 +32,7 @@ from torchid.position.repeats import PositionNoise
 from torchid.position.search import Rivals
 from torchid.position.servo_model import Motions, ServoModel, mostly_better
 from torchid.simulation.servo import Servos
-from torchid.simulation.servo_loop import body_near, windows_of
+from torchid.simulation.servo_loop import Windows, body_near, windows_of
 from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, SET_MASS, TELLING_STD
 from torchid.typing import Bool, Float
 
@@ -61,14 +61,29 @@ def follows(
     motions: Motions, servos: Servos, core: Mapping[str, Tensor], noise: PositionNoise
 ) -> Followed:
     """Which joints servos of a robot's file follow."""
-    data, model = motions.data, as_file(motions, servos, core)
-    # What windows leave alone is their starts'.
-    least = CLEAR_EXCESS * noise.at_least(data.slight).square()
+    model = as_file(motions, servos, core)
+    near = near_enough(motions, model, noise.at_least(motions.data.slight))
+    return Followed(motions, model, near)
+
+
+def near_enough(
+    motions: Motions, model: ServoModel, noise: Float[Tensor, " n"]
+) -> Bool[Tensor, " n"]:
+    """Joints that servos follow up to errors (n,) that call for no cause [rad]: in windows, in
+    whole motions, or in all that was recorded without a break. What the first alone leave is their
+    starts', at velocities that are not measured."""
+    data, least = motions.data, CLEAR_EXCESS * noise.square()
+    tracks = data.tracks
+    gone = data.log.t[tracks.first] - data.log.t[tracks.last.roll(1)]
+    begins = (gone - tracks.dt).abs() > UNEVEN * tracks.dt
+    start = tracks.first[begins]
+    length = torch.cat([start[1:], tracks.last[-1:] + 1]) - start
+    breaks = Windows(start, length, begins.nonzero().flatten(), torch.ones(len(start)).double())
     near = [
         model.losses(Motions(data, windows)) <= windows.rows * least
-        for windows in (motions.windows, windows_of(data.tracks, None))
+        for windows in (motions.windows, windows_of(tracks, None), breaks)
     ]
-    return Followed(motions, model, torch.stack(near).any(0))
+    return torch.stack(near).any(0)
 
 
 def as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare, tracks_of
 from torchid.position.effects import CORE, KEPT
-from torchid.position.file_servos import Followed, as_file, follows
+from torchid.position.file_servos import Followed, as_file, follows, near_enough
 from torchid.position.fit import errors_of_one
 from torchid.position.in_mujoco import Beside, FileInMujoco, along_lines, held, late
 from torchid.position.model import ServoArm
@@ -162,8 +162,14 @@ class Ways:
     def nearest(self, data: PositionData) -> tuple[PositionData, ServoModel]:
         """The motions, and plain servos there, with commands that hold until the next one; or that
         go on between rows, where servos follow them nearer: no row tells then when they jumped."""
-        motions, fits = Motions(data, self.windows), self._by_file(data, holds=True)
+        motions = Motions(data, self.windows)
         held = plain(motions)
+        if self.own is not None:
+            way = self.own(data, True)
+            near = near_enough(Motions(way, self.windows), self._file(way), data.slight)
+            if bool((near | data.still).all()):
+                return way, held.fitted(Motions(way, self.windows), 8)
+        fits = self._by_file(data, holds=True)
         if not bool(data.tracks.jumping.any()):
             return self._followed((data, held), fits)[:2]
         best = min([held, *(m for x, m in fits if x is data)], key=lambda m: self._left(data, m))
@@ -178,9 +184,10 @@ class Ways:
         return ways[ways[0][2] - ways[1][2] > math.log(ALIKE_LOSS)][:2]
 
     def _left(self, data: PositionData, model: ServoModel) -> float:
-        """Mean logarithm of the losses on joints that move."""
-        losses = model.losses(Motions(data, self.windows)).clamp(min=1e-300)
-        return float(losses.log()[~data.still].mean())
+        """Mean logarithm of the losses on joints that move, over what calls for no cause, which
+        comes on top: what is below is neither way's."""
+        motions = Motions(data, self.windows)
+        return float((model.losses(motions) / motions.slight + 1).log()[~data.still].mean())
 
     def _by_file(self, data: PositionData, *, holds: bool) -> list[Way]:
         """The file's servos with all of their numbers refitted by our kernel; and by the file's own
