@@ -17,8 +17,8 @@ from torchid.simulation.servo_loop import windows_of
 
 pytestmark = pytest.mark.usefixtures("types_unchecked")
 QUICK_OWN = ("none-forcerange", "kv-actuatorfrcrange", "timeconst", "ctrlrange", "plane")
-"""Of one in four of them our kernel alone errs by a hundred times a count."""
-QUICK_TWINS = ("none-forcerange", "biasprm-forcerange")
+"""Those that say most for their time: of the last two our kernel alone errs by many counts."""
+QUICK_TWINS = ("none-forcerange", "stiffness")
 FACTOR = {"kp": 0.8, "clip": 0.5, "friction": 1.5}
 
 
@@ -56,6 +56,14 @@ def test_one_number_that_is_another_is_named(name, tmp_path):
     others = [c for c in found.answer.causes if c.effect != EFFECT[arm.twin]]
     assert all(c.how_sure < 0.9 for c in others)
     assert len(others) <= (name == "plane")
+
+
+@pytest.mark.nightly
+def test_a_load_is_judged_whose_interval_is_one_number(tmp_path):
+    """A load is tried beside delays, and ends at the lightest that is tried."""
+    arm = ARMS["kv"]
+    found = torchid.diagnose(arm.write(tmp_path), arm.log(twin=True, seed=2))
+    assert {c.effect for c in found.answer.causes} == {"command_delay"}
 
 
 @pytest.mark.parametrize(
