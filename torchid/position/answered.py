@@ -290,7 +290,7 @@ def _beside_file_servos(
 ) -> SingleEffects:
     """The numbers that a file's servos have, refitted; where these leave a gap one more a joint
     beside them."""
-    numbers = settled(few, replace(file, free={**file.free, **free}))
+    numbers = replace(file, free={**file.free, **free}).fitted(few, 12, plane=True)
     explained = numbers.losses(few) <= few.slight
     if bool((explained | few.data.still).all()):
         return SingleEffects(numbers, explained, {})
