@@ -118,6 +118,7 @@ SERVO = """<mujoco><compiler angle="radian" autolimits="true"/>
     <inertial pos=".12 0 0" mass=".7" diaginertia=".002 .003 .003"/></body></worldbody>
   <actuator><position joint="a" kp="14" kv=".5" {}/></actuator></mujoco>"""
 
+
 @pytest.mark.parametrize("limit", ["", 'forcerange="-9 9"'])
 def test_of_mujocos_own_log_of_a_servo_nothing_is_named(limit: str, tmp_path: Path) -> None:
     """Commands jump, are held for 20 ms, and positions are counts of 4096 a turn."""
