@@ -29,9 +29,8 @@ from torchid.position.search import (
 )
 from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mostly_better
 from torchid.results.answer import Answer
-from torchid.results.cause import Cause
 from torchid.robot.model import error_unit
-from torchid.statistics.criteria import ALIKE_LOSS, SET_MASS, WORTHWHILE
+from torchid.statistics.criteria import ALIKE_LOSS, SET_MASS
 from torchid.typing import Bool, Float
 
 SEVERAL = {
@@ -80,35 +79,15 @@ class Answered:
         return tuple(out)
 
 
-class EarlyAnswer:
+def undecided(motions: Motions, first: ServoModel, of_file: bool) -> Answer:
     """What is known while the search goes on: the errors of the file's servos, or of plain ones, in
-    some windows, and of the effects that were tried the one that removes most of each joint's."""
-
-    def __init__(
-        self, watch: Callable[[Answer], None], motions: Motions, first: ServoModel, of_file: bool
-    ) -> None:
-        self.watch, self.motions, self.words = watch, motions, error_words(of_file)
-        self.robot = motions.data.robot
-        self.before = self.after = self._errors(first.losses(motions))
-        self.best = [""] * self.robot.n
-        self._show()
-
-    def _errors(self, losses: Tensor) -> Tensor:
-        return 1e3 * (losses / self.motions.windows.rows).sqrt() / self.motions.data.scale
-
-    def __call__(self, effect: str, losses: Tensor) -> None:
-        """An effect beside the plain servos, and the losses that it leaves."""
-        errors = self._errors(losses)
-        for j in torch.nonzero(errors < (1 - WORTHWHILE) * self.after).flatten().tolist():
-            self.best[j] = effect
-        self.after = torch.minimum(self.after, errors)
-        self._show()
-
-    def _show(self) -> None:
-        whole = float(self.before.mean()), float(self.after.mean())
-        joints = zip(self.robot.joint_names, self.before.tolist(), self.after.tolist(), strict=True)
-        causes = (Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name)
-        self.watch(Answer.so_far(self.words, error_unit(self.robot), whole, joints, causes))
+    some windows. An effect that was tried is no cause before it is decided."""
+    data = motions.data
+    errors = 1e3 * (first.losses(motions) / motions.windows.rows).sqrt() / data.scale
+    joints, whole = errors.tolist(), float(errors.mean())
+    each = zip(data.robot.joint_names, joints, joints, strict=True)
+    words = error_words(of_file), error_unit(data.robot)
+    return Answer.so_far(*words, (whole, whole), each, ())
 
 
 def as_the_file(problem: Problem) -> Answered | None:
@@ -143,23 +122,21 @@ def best_answer(
     few, squares = problem.few, problem.squares
     begun, single, file = problem.simple, None, problem.file
     first = problem.plain if file is None else file.model
-    early = None if watch is None else EarlyAnswer(watch, few, first, file is not None)
+    if watch is not None:
+        watch(undecided(few, first, file is not None))
     others_than_core = "effects beside gains, friction and delay", "one effect at a time"
     if file is not None:
         single = SingleEffects(file.model, ~few.every, {})
         if pace.has_time(*others_than_core):
-            single = _beside_file_servos(few, file.model, problem.simple.free, early)
+            single = _beside_file_servos(few, file.model, problem.simple.free)
         before, after = (m.losses(few) for m in (begun, single.model))
         begun = single.model.joined(begun, before <= after)
     loaded, others = None, tuple[str, ...]()
     if single is None or not bool((single.explained | problem.data.still).all()):
         single = SingleEffects(begun, ~few.every, {})
-        import os
-        only = bool(os.environ.get("FULLONLY"))
-        if only: single = SingleEffects(begun, (begun.losses(few) <= few.slight), {})
-        if pace.has_time(*others_than_core) and not only:
-            single = best_single_effect_per_joint(few, begun, early)
-        if file is None and not only:
+        if pace.has_time(*others_than_core):
+            single = best_single_effect_per_joint(few, begun)
+        if file is None:
             pace("a load")
             if pace.has_time("a load", "a load"):
                 loaded, single, others = _or_a_load(few, begun, single)
@@ -244,7 +221,7 @@ def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:
     if load is None:
         return answered
     free = {**load.model.free, **problem.simple.free}
-    heavy = _beside_file_servos(load.motions, load.model, free, None).model
+    heavy = _beside_file_servos(load.motions, load.model, free).model
     heavy = settled(load.motions, heavy)
     # What the servos named beside it leave without it.
     held = {name: on for name, on in heavy.free.items() if name not in ANCHORS}
@@ -320,16 +297,20 @@ def _weighing_as_log(problem: Problem) -> Problem:
 
 
 def _beside_file_servos(
-    few: Motions, file: ServoModel, free: Mapping[str, Tensor], early: EarlyAnswer | None
+    few: Motions, file: ServoModel, free: Mapping[str, Tensor]
 ) -> SingleEffects:
-    """One number a joint beside what a file's servos have, and gains and what else is free
-    refitted."""
+    """The numbers that a file's servos have, refitted; where these leave a gap one more a joint
+    beside them."""
+    numbers = replace(file, free={**file.free, **free}).fitted(few, 12, plane=True)
+    explained = numbers.losses(few) <= few.slight
+    if bool((explained | few.data.still).all()):
+        return SingleEffects(numbers, explained, {})
     # How late commands come within a sample is no cause.
     fixed = replace(file, free={"delay": few.every})
     effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
-    single = best_single_effect_per_joint(few, fixed, early, effects).model
+    single = best_single_effect_per_joint(few, fixed, effects).model
     freed = replace(single, free={**free, **single.free})
-    model = freed.fitted(few, 8, plane=True)
+    model = _no_worse(few, numbers, freed.fitted(few, 8, plane=True))
     # What came as near before the gains were refitted is no rival yet.
     return SingleEffects(model, model.losses(few) <= few.slight, {})
 
@@ -414,8 +395,9 @@ def needed_effects(
         gain, total = motions.each(losses - whole), losses.sum(0)
         call = least.of(len(effect.parameters or PLANE))
         if not effect.parameters:  # a plane is there for all joints or for none
-            gain, total = gain.sum(1, keepdim=True).expand(-1, len(total)), total.sum().expand(
-                len(total)
+            gain, total = (
+                gain.sum(1, keepdim=True).expand(-1, len(total)),
+                total.sum().expand(len(total)),
             )
             call = call.sum().expand(len(total))
         often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)

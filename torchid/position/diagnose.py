@@ -22,7 +22,7 @@ from torchid.position.data import WINDOW_S, PositionData
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import CORE
 from torchid.position.equal import pooled, with_data_sheets
-from torchid.position.file_servos import changes_of
+from torchid.position.file_servos import changes_of, with_files_scale
 from torchid.position.findings import describe_findings
 from torchid.position.fit import NOISE
 from torchid.position.judge import Equations, equations, value_interval
@@ -78,7 +78,7 @@ def diagnose_positions(
         sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
         pace: hears which of `STAGES` begins, and says how much time there is.
-        watch: called with an `Answer` of status `searching` whenever more is known.
+        watch: called with an `Answer` of status `searching`, without causes, where a search begins.
 
     Returns:
         The answer; its `corrected` arm is what `torchid.replay` moves.
@@ -115,6 +115,8 @@ def _how_well_known(
     data, model = answered.motions.data, answered.model
     more, odd = problem.more.windows, tuple[str, ...]()
     known = equations(data, model.servos, model.free, more, trusted=problem.trusted)
+    if problem.file is not None and data.weighed:
+        known = with_files_scale(known, problem.file.model.servos)
     if any(problem.sheets):
         known = with_data_sheets(known, problem.sheets, ~data.still)
     if len(set(problem.types) - {""}) and data.weighed:

@@ -47,11 +47,13 @@ class _Naming:
     @cached_property
     def evidence(self) -> Evidence:
         """What effects are held against."""
-        data = self.answered.motions.data
-        noise = self.problem.noise.at_least(data.slight)
+        motions = self.answered.motions
+        data, noise = motions.data, self.problem.noise.at_least(motions.data.slight)
+        if data.beside is not None:
+            noise = noise.hypot(data.beside.unsure(motions.windows))
         left, whole = self.checked.left(noise / data.scale)
         left = left * data.scale.square()
-        return Evidence(self.answered.motions, self.known, noise, left, whole)
+        return Evidence(motions, self.known, noise, left, whole)
 
     def sure(self, effect: ServoEffect, joint: int | None, numbers: int, joints: int = 1) -> float:
         """Probability of an effect; see `Evidence.sure`."""

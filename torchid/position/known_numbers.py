@@ -31,9 +31,7 @@ REST_S = 0.3
 """Time for which commands and a joint have stood where it is at rest [s]."""
 
 
-def contradicted(
-    data: PositionData, servos: Servos, plain: Equations
-) -> Float[Tensor, " n"]:
+def contradicted(data: PositionData, servos: Servos, plain: Equations) -> Float[Tensor, " n"]:
     """Gains (n,) [N m/rad] that all other known numbers say, where the file's contradicts them; nan
     where it does not, or where nothing else is known.
 

@@ -290,7 +290,6 @@ Tried = dict[str, tuple[ServoModel, Float[Tensor, " n"]]]
 def best_single_effect_per_joint(
     motions: Motions,
     simple: ServoModel,
-    watch: Callable[[str, Tensor], None] | None = None,
     effects: Sequence[ServoEffect] = BESIDE_PLAIN,
 ) -> SingleEffects:
     """Each effect by itself beside plain servos, or a file's, whose gains are not free: a joint
@@ -299,13 +298,12 @@ def best_single_effect_per_joint(
     Args:
         motions: to fit to.
         simple: the servos.
-        watch: called with each effect and the losses (n,) that are left with it.
         effects: to try.
     """
     least, before = motions.slight, simple.losses(motions)
     if bool((before <= least).all()):
         return SingleEffects(simple, before <= least, {})
-    tried = _each_beside_plain(motions, simple, watch, effects)
+    tried = _each_beside_plain(motions, simple, effects)
     model, losses = _plane_alone(tried, simple, before)
     single, rivals = _with_best_effects(motions, model, losses, tried)
     if "kp" in simple.free:  # servos of a file begin where the file has them
@@ -319,7 +317,6 @@ def best_single_effect_per_joint(
 def _each_beside_plain(
     motions: Motions,
     simple: ServoModel,
-    watch: Callable[[str, Tensor], None] | None,
     effects: Sequence[ServoEffect],
 ) -> Tried:
     """Every effect by itself, on all joints."""
@@ -329,8 +326,6 @@ def _each_beside_plain(
     for effect in effects:
         model = _beside_plain(motions, calm if effect.has_sizes else simple, effect)
         tried[effect.name] = model, model.losses(motions)
-        if watch is not None:
-            watch(effect.name, tried[effect.name][1])
     # What makes set-points is brought to where they are best, where that can matter.
     for name in (e.name for e in effects if {*e.parameters} & {*VALLEYS}):
         model, losses = tried[name]
