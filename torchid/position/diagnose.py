@@ -90,7 +90,7 @@ def diagnose_positions(
     begun, pace = time.perf_counter(), pace or Pace(None, STAGES)
     pace("a plain servo")
     problem = pose(robot, log, start, worthwhile)
-    problem = replace(problem, trusted=trusted, types=types, sheets=problem.with_gains(sheets))
+    problem = replace(problem, trusted=trusted, types=types, sheets=sheets)
     answered = as_the_file(problem) or best_answer(problem, pace, watch)
     pace("how far it goes")
     answered, known, odd = _how_well_known(answered, problem)

@@ -17,6 +17,7 @@ from torchid.position.equal import OF_TYPE
 from torchid.position.evidence import Evidence
 from torchid.position.fit import VALLEYS
 from torchid.position.judge import Equations, value_interval
+from torchid.position.known_numbers import APART
 from torchid.position.payload import Loaded
 from torchid.position.problem import Problem
 from torchid.position.record import PositionFinding
@@ -130,6 +131,10 @@ class _Naming:
         was, unit = math.nan, kind.unit
         if start is not None and self.in_file(name, joint):
             was = float(start.servos.of(name)[joint])
+        if name == "kp" and bool((self.shares & self.problem.doubted)[joint]):
+            # The log leaves it open: what all else says, but for what would be doubted, too.
+            value = float(self.problem.gains[joint])  # type: ignore[index]
+            return Number(title, unit, value, (value / APART, value * APART), was)
         if name == "delay":
             # Commands are simulated along straight lines; that they are held until the next one
             # makes them half a sample late on average, which is no delay of its own.

@@ -23,9 +23,9 @@ WIDTHS = {"damping": 1.0, "coulomb": 1.0, "armature": 1.0}
 """Standard deviations of logarithms of what files have of friction and rotors [1]: one joint's is
 seldom another's."""
 
-APART = math.log(3.0)
-"""Of two known gains, from which one of them is wrong [1]: by as much units of one type never
-differ."""
+APART = 3.0
+"""Factor between a gain and what all else says of it, from which it is wrong [1]: by as much units
+of one type never differ."""
 
 REST_S = 0.3
 """Time for which commands and a joint have stood where it is at rest [s]."""
@@ -54,7 +54,7 @@ def contradicted(data: PositionData, servos: Servos, plain: Equations) -> Float[
             for x, std, low in others
         )
         best = float(where[cost.argmin()])
-        if abs(best - math.log(value)) > APART:
+        if abs(best - math.log(value)) > math.log(APART):
             out[alike] = math.exp(best)
     return out
 

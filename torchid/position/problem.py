@@ -94,16 +94,10 @@ class Problem:
         """Joints whose gain, as the file has it, all else that is known contradicts."""
         return ~self.few.every if self.gains is None else self.gains.isfinite()
 
-    def with_gains(self, sheets: Sequence[Mapping[str, float]]) -> tuple[Mapping[str, float], ...]:
-        """What makers say of servos, and of those whose file is doubted all else that is known."""
-        each = sheets or [{}] * self.data.robot.n
-        gains = [math.nan] * len(each) if self.gains is None else self.gains.tolist()
-        pairs = zip(each, gains, strict=True)
-        return tuple(x if math.isnan(kp) else {"kp": kp, **x} for x, kp in pairs)
-
     def followed(self, motions: Motions) -> Followed:
         """How motions, of this arm or one like it, follow the servos of the robot's file."""
-        assert self.start is not None and self.gains is not None
+        assert self.start is not None
+        assert self.gains is not None
         servos = believed(self.start, self.gains).servos
         return follows(motions, servos, self.simple.free, self.noise)
 

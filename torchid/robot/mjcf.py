@@ -19,7 +19,15 @@ from torchid.robot.assemble import assemble
 from torchid.robot.mjcf_files import require_end
 from torchid.robot.model import Robot
 from torchid.robot.placement import pose, quaternion
-from torchid.robot.spec import FAILURES, SET_POINT, listening, name_parts, spec_tree
+from torchid.robot.spec import (
+    FAILURES,
+    INSIDE,
+    SERVO,
+    SET_POINT,
+    listening,
+    name_parts,
+    spec_tree,
+)
 from torchid.robot.tree import Base, Choice, Following, Tree, choose
 from torchid.robot.xml_numbers import parse_xml
 
@@ -273,6 +281,11 @@ def mjcf_servos(path: Path, joints: Iterable[str]) -> list[dict[str, float]]:
         values = _servo(model, a, joint, gear)
         if has_set_point:
             servos[joint] = [_with_set_point(model, values, joint)]
+        elif model.actuator(a).name == f"{SERVO}{model.joint(joint).name}{INSIDE}":
+            # Damping of a servo whose other actuator is on its set point, before this one.
+            within = -float(model.actuator_biasprm[a, 2])
+            whole = within + servos[joint][0]["damping"]
+            servos[joint][0] |= {"damping": whole, "damping_share": within / whole}
         else:
             servos.setdefault(joint, []).append(values)
     ids = [mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name) for name in joints]
@@ -318,11 +331,12 @@ def _servo(model: Any, actuator: int, joint: int, gear: float) -> dict[str, floa
         values["damping_share"] = own / damping
     limits = []
     if model.actuator_forcelimited[actuator]:
-        limits.append(abs(model.actuator_forcerange[actuator]).max() * abs(gear))
+        limits.append(model.actuator_forcerange[actuator] * gear)
     if model.jnt_actfrclimited[joint]:
-        limits.append(abs(model.jnt_actfrcrange[joint]).max())
+        limits.append(model.jnt_actfrcrange[joint])
     if limits:
-        values["clip"] = min(limits)
+        # A constant torque is beside what a servo can, as far as its limits are about it.
+        values["clip"] = min(abs(ends - values["offset"]).max() for ends in limits)
     if int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE):
         values["lag"] = model.actuator_dynprm[actuator, 0]
     return {name: float(value) for name, value in values.items()}
