@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchid.effects.servo import PLANE, ServoEffect
 from torchid.parallel.pace import Pace
+from torchid.position.data import Usual
 from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
 from torchid.position.evidence import LeastFall
 from torchid.position.file_servos import Worth, beside_file, weighing_otherwise
@@ -164,7 +165,10 @@ def best_answer(
     rivals |= {at: names for at, names in single.rivals.items() if bool(single.explained[at[1]])}
     loaded = loaded if PAYLOAD.name in worth else None
     answered = _with_needed(problem, Answered(motions, model, worth, rivals, loaded))
-    if file is None or not few.data.weighed or not pace.has_time("a load", "a load"):
+    anchored = ~(problem.doubted | problem.data.still)  # by a gain that is known
+    if file is None or not few.data.weighed or not bool(anchored.any()):
+        return answered
+    if not pace.has_time("a load", "a load"):
         return answered
     pace("a load")
     return _or_a_load_beside_file(problem, answered)
@@ -358,79 +362,92 @@ def needed_effects(
     """A model of the effects without which motion after motion is followed worse, all others
     refitted; losses without each and with it; and what stands for it as well.
 
-    Each effect is left out alone, which says how much it takes away beside all others. With none of
-    them the largest returns to each joint that loses by that, and the next one, until none loses.
+    Each effect is left out alone, which says what it takes away beside all others. Of a model with
+    none of them the largest returns to each joint that loses by that, and the next one, until none
+    does: what stands for another then has no reason to come.
     """
     whole = motions.losses(model.servos)
     least, usual = LeastFall.beside(motions, model.servos), motions.data.usual
-    present = [e for e in EFFECTS if bool(model.where(e).any())]
-    rises = {e.name: _rise(motions, model, e, 4)[0] for e in present}
-    of_all = [e.name for e in present if not e.parameters]
-    chosen = {e.name: model.where(e) & (e in KEPT) for e in present}
-    order = {
-        j: sorted(
-            (e.name for e in present if e not in KEPT and bool(model.where(e)[j])),
-            key=lambda name: -float(rises[name][j]),
-        )
-        for j in range(model.servos.n)
+    present = {e.name: e for e in EFFECTS if bool(model.where(e).any())}
+    sought = {name: e for name, e in present.items() if e not in KEPT}
+    rise = {
+        name: _without(motions, model, e, 4).sum(0) - whole.sum(0) for name, e in sought.items()
     }
+    waiting = [
+        sorted((n for n, e in sought.items() if model.where(e)[j]), key=lambda n: float(rise[n][j]))
+        for j in range(model.servos.n)
+    ]
+    chosen = {name: model.where(e) & (e in KEPT) for name, e in present.items()}
+    stands = set[tuple[str, int]]()
     while True:
-        lean = _with_only(model, chosen, motions).fitted(motions, 8, plane=True)
-        left = motions.losses(lean.servos)
-        fall = (left - whole).sum(0)
-        lost = (fall > squares * left.sum(0)) & (fall > least.of(1))
-        back = {j: order[j].pop(0) for j in lost.nonzero().flatten().tolist() if order[j]}
+        lean = _with_only(model, chosen, usual).fitted(motions, 8, plane=True)
+        left = motions.losses(lean.servos).sum(0)
+        fall = left - whole.sum(0)
+        lost = (fall > squares * left) & (fall > least.of(1))
+        back = [(waiting[j].pop(), j) for j in lost.nonzero().flatten().tolist() if waiting[j]]
         if not back:
             break
-        for j, name in back.items():
-            if name in of_all:
-                chosen[name] = motions.every
-                order = {k: [x for x in names if x != name] for k, names in order.items()}
-            else:
+        for name, j in back:
+            if rise[name][j] <= least.of(1)[j]:
+                stands.add((name, j))
+            if sought[name].parameters:
                 chosen[name][j] = True
-    worth, whole = Worth(), motions.losses(lean.servos)
-    least = LeastFall.beside(motions, lean.servos)
-    for effect in (e for e in present if bool(lean.where(e).any())):
-        rise, losses = _rise(motions, lean, effect, 8)
+                continue
+            chosen[name] = motions.every
+            waiting = [[x for x in names if x != name] for names in waiting]
+    rivals: Rivals = {(name, j): tuple(waiting[j]) for name, j in stands if waiting[j]}
+    return lean, _worth_of(motions, lean, present.values(), squares), rivals
+
+
+def _worth_of(
+    motions: Motions, model: ServoModel, effects: Collection[ServoEffect], squares: float
+) -> Worth:
+    """Losses without each effect that is worth a name, and with it."""
+    whole, least, out = (
+        motions.losses(model.servos),
+        LeastFall.beside(motions, model.servos),
+        Worth(),
+    )
+    for effect in effects:
+        has = model.where(effect)
+        if not bool(has.any()):
+            continue
+        losses = _without(motions, model, effect, 8)
         gain, total = motions.each(losses - whole), losses.sum(0)
         call = least.of(len(effect.parameters or PLANE))
         if not effect.parameters:  # a plane is there for all joints or for none
-            gain, total = (
-                gain.sum(1, keepdim=True).expand(-1, len(total)),
-                total.sum().expand(len(total)),
-            )
-            call = call.sum().expand(len(total))
+            gain, total = gain.sum(1, keepdim=True).expand_as(gain), total.sum().expand_as(total)
+            call = call.sum().expand_as(call)
         often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)
-        keep = lean.where(effect) & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
+        keep = has & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect in KEPT:
-            keep &= lean.beyond(effect, usual)
+            keep &= model.beyond(effect, motions.data.usual)
         if bool(keep.any()):
-            worth[effect.name] = torch.where(keep, losses, torch.nan), whole
-    return lean, worth, {}
+            out[effect.name] = torch.where(keep, losses, torch.nan), whole
+    return out
 
 
-def _rise(
+def _without(
     motions: Motions, model: ServoModel, effect: ServoEffect, iterations: int
-) -> tuple[Float[Tensor, " n"], Float[Tensor, "W n"]]:
-    """Losses of windows without an effect, all else refitted, and how far they rise."""
-    has = model.where(effect)
-    less = model.without(effect, has, motions.data.usual).fitted(motions, iterations)
-    losses = motions.losses(less.servos)
+) -> Float[Tensor, "W n"]:
+    """Losses of windows without an effect, all else refitted."""
+    has, usual = model.where(effect), motions.data.usual
+    losses = motions.losses(model.without(effect, has, usual).fitted(motions, iterations).servos)
     # A joint loses no more than where it alone lacks the effect, and nothing gives way.
     for j in has.nonzero().flatten().tolist() if effect.parameters else ():
         here = torch.arange(len(has)) == j
-        alone = motions.losses(model.without(effect, here, motions.data.usual).servos)[:, j]
-        if float(alone.sum()) < float(losses[:, j].sum()):
-            losses[:, j] = alone
-    return losses.sum(0) - model.losses(motions), losses
+        own = motions.losses(model.without(effect, here, usual).servos)[:, j]
+        if float(own.sum()) < float(losses[:, j].sum()):
+            losses[:, j] = own
+    return losses
 
 
 def _with_only(
-    model: ServoModel, chosen: Mapping[str, Bool[Tensor, " n"]], motions: Motions
+    model: ServoModel, chosen: Mapping[str, Bool[Tensor, " n"]], usual: Usual
 ) -> ServoModel:
     """A model with chosen effects alone."""
     for name, on in chosen.items():
         gone = model.where(BY_NAME[name]) & ~on
         if bool(gone.any()):
-            model = model.without(BY_NAME[name], gone, motions.data.usual)
+            model = model.without(BY_NAME[name], gone, usual)
     return model

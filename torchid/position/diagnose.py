@@ -26,6 +26,7 @@ from torchid.position.file_servos import changes_of, with_files_scale
 from torchid.position.findings import describe_findings
 from torchid.position.fit import NOISE
 from torchid.position.judge import Equations, equations, value_interval
+from torchid.position.known_numbers import doubt_of
 from torchid.position.model import ServoArm
 from torchid.position.problem import MOST_WINDOWS, Problem, pose, some_of
 from torchid.position.record import KnownRecord
@@ -151,6 +152,7 @@ def _of_one_type(
 def _described(answered: Answered, known: Equations, problem: Problem) -> PositionDiagnosis:
     """The answer: where, which, how far, and what this log could not show."""
     data, servos, start = answered.motions.data, answered.model.servos, problem.start
+    believed = problem.believed
     checked, still = check(answered, problem, known), problem.data.still
     ratio_only, unanchored = _ratios_alone(answered, known, problem)
     unknown = still | ratio_only
@@ -190,7 +192,12 @@ def _described(answered: Answered, known: Equations, problem: Problem) -> Positi
             for j, on in enumerate(known.mask & ~still[:, None])
         ),
         as_given=None if problem.file is None else problem.file.near,
-        changes=() if start is None else changes_of(start, known, ratio_only, still),
+        changes=changes_of(start, believed.servos.of("kp"), known, ratio_only, still)
+        if start is not None and believed is not None
+        else (),
+        file_doubt=doubt_of(start.servos, problem.gains, kp, ratio_only | still)
+        if start is not None and problem.gains is not None
+        else "",
     )
 
 

@@ -272,12 +272,17 @@ def _with_files_number(
 
 
 def changes_of(
-    start: ServoArm, known: Equations, shares: Bool[Tensor, " n"], still: Bool[Tensor, " n"]
+    start: ServoArm,
+    gains: Float[Tensor, " n"],
+    known: Equations,
+    shares: Bool[Tensor, " n"],
+    still: Bool[Tensor, " n"],
 ) -> tuple[ChangeRecord, ...]:
     """What was found of each number beside what the robot's file says of it, and of its masses.
 
     Args:
         start: the file's arm.
+        gains: (n,) of which its torques are shares: the file's, but for those that are doubted.
         known: the answer.
         shares: joints of which torques are told as shares of kp.
         still: joints that never move, of which nothing is said.
@@ -296,7 +301,7 @@ def changes_of(
             continue
         share = bool(shares[j]) and p.name in TORQUES and p.name != "kp"
         if share:
-            was, now = was / float(start.servos.of("kp")[j]), now / float(known.servos.of("kp")[j])
+            was, now = was / float(gains[j]), now / float(known.servos.of("kp")[j])
         stds = float(std[j, k]), 0.0 if share else float(before[j, k])
         state = _state(p, was, now, stds)
         if state:

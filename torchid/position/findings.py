@@ -141,7 +141,8 @@ class _Naming:
             value -= 0.5 * self.answered.motions.data.held
         if bool(self.shares[joint]) and name in TORQUES and name != "kp":
             value /= float(servos.of("kp")[joint])
-            was /= 1.0 if start is None else float(start.servos.of("kp")[joint])
+            believed = self.problem.believed
+            was /= 1.0 if believed is None else float(believed.servos.of("kp")[joint])
             unit, title = PER_KP[unit], as_share(name)
         std, names = math.nan, self.known.names
         if name in names:

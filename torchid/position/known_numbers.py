@@ -15,6 +15,7 @@ import torch
 from torchid.effects.servo import INDEX, PARAMETERS
 from torchid.position.data import STILL, PositionData
 from torchid.position.judge import Equations
+from torchid.results.words import digits, joints_words
 from torchid.simulation.servo import Servos
 from torchid.statistics.criteria import SHEET_STD
 from torchid.typing import Bool, Float, Tensor
@@ -57,6 +58,36 @@ def contradicted(data: PositionData, servos: Servos, plain: Equations) -> Float[
         if abs(best - math.log(value)) > math.log(APART):
             out[alike] = math.exp(best)
     return out
+
+
+def doubt_of(
+    file: Servos, gains: Float[Tensor, " n"], found: Float[Tensor, " n"], open_: Bool[Tensor, " n"]
+) -> str:
+    """What speaks against the gains of a file, in a sentence; empty where nothing does.
+
+    Args:
+        file: its servos.
+        gains: (n,) of `contradicted`.
+        found: (n,) gains of the answer [N m/rad].
+        open_: joints of which the answer does not tell the gain.
+    """
+    said, out = file.of("kp"), list[str]()
+    for value in said.unique().tolist():
+        alike = said == value
+        if bool((doubted := alike & gains.isfinite()).any()):
+            out.append(
+                f"The file's gain of {digits(value)} N m/rad ({joints_words(doubted.nonzero().flatten().tolist())}) contradicts "
+                "what this log makes of its masses, friction, rotors and limits of torque: they "
+                f"say some {float(gains[doubted][0]):.1g}. These are kept, and the gain is sought."
+            )
+        own = found[alike & ~open_]
+        if len(own) > 1 and float(own.max() / own.min()) > APART:
+            out.append(
+                f"The servos whose gain the file has as {digits(value)} N m/rad come out with "
+                f"{digits(float(own.min()))} to {digits(float(own.max()))}: units of one type are "
+                "not so far apart, so loads or masses of these joints are not what the file has."
+            )
+    return " ".join(out)
 
 
 def _said(

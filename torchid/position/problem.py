@@ -94,12 +94,17 @@ class Problem:
         """Joints whose gain, as the file has it, all else that is known contradicts."""
         return ~self.few.every if self.gains is None else self.gains.isfinite()
 
+    @cached_property
+    def believed(self) -> ServoArm | None:
+        """The arm that the robot's file describes, but for gains that are doubted."""
+        if self.start is None or self.gains is None:
+            return self.start
+        return believed(self.start, self.gains)
+
     def followed(self, motions: Motions) -> Followed:
         """How motions, of this arm or one like it, follow the servos of the robot's file."""
-        assert self.start is not None
-        assert self.gains is not None
-        servos = believed(self.start, self.gains).servos
-        return follows(motions, servos, self.simple.free, self.noise)
+        assert self.believed is not None
+        return follows(motions, self.believed.servos, self.simple.free, self.noise)
 
 
 def pose(
@@ -116,16 +121,18 @@ def pose(
     if start is not None:
         data = replace(data, damping_share=start.servos.of("damping_share"))
     windows = windows_of(data.tracks, WINDOW_S)
-    some, gains = some_of(windows, MOST_WINDOWS), None
-    own = _own_simulator(data, log, start, bool(alike))
-    posed, simple = Ways(some, start, own).nearest(data)
+    some = some_of(windows, MOST_WINDOWS)
+    held = plain(Motions(data, some))
+    ways = Ways(some, start, _own_simulator(data, log, start, bool(alike)))
+    way, gains = ways.as_given(data, held), None
     if start is not None:
-        gains = contradicted(
-            posed, start.servos, equations(posed, simple.servos, simple.free, some)
-        )
-        if bool(gains.isfinite().any()):  # what the file's simulator does with them says nothing
-            posed, simple = Ways(some, believed(start, gains), None).nearest(data)
-    data = posed
+        plainly = equations(data, held.servos, held.free, some)
+        gains = contradicted(data, start.servos, plainly)
+        gains = gains if way is None else torch.full_like(gains, torch.nan)
+        if bool(gains.isfinite().any()):
+            # What the file's own simulator does with these numbers says nothing.
+            ways = Ways(some, believed(start, gains), None)
+    data, simple = way or ways.nearest(data, held)
     telling = _telling(data, simple, windows)
     few, more = (Motions(data, some_of(windows, k * MOST_WINDOWS, telling)) for k in (1, 3))
     squares = 1.0 - (1.0 - worthwhile) ** 2
@@ -185,16 +192,24 @@ class Ways:
     start: ServoArm | None
     own: Callable[[PositionData, bool], PositionData] | None
 
-    def nearest(self, data: PositionData) -> tuple[PositionData, ServoModel]:
+    def as_given(self, data: PositionData, plain: ServoModel) -> Way | None:
+        """The motions beside the file's own simulator, where they follow it as it is; else None."""
+        if self.own is None:
+            return None
+        way = self.own(data, True)
+        motions = Motions(way, self.windows)
+        near = near_enough(motions, self._file(way), data.slight)
+        return (way, plain.fitted(motions, 8)) if bool((near | data.still).all()) else None
+
+    def nearest(self, data: PositionData, held: ServoModel) -> Way:
         """The motions, and plain servos there, with commands that hold until the next one; or that
-        go on between rows, where servos follow them nearer: no row tells then when they jumped."""
+        go on between rows, where servos follow them nearer: no row tells then when they jumped.
+
+        Args:
+            data: with commands that hold.
+            held: plain servos that were fitted to them.
+        """
         motions = Motions(data, self.windows)
-        held = plain(motions)
-        if self.own is not None:
-            way = self.own(data, True)
-            near = near_enough(Motions(way, self.windows), self._file(way), data.slight)
-            if bool((near | data.still).all()):
-                return way, held.fitted(Motions(way, self.windows), 8)
         fits = self._by_file(data, holds=True)
         if not bool(data.tracks.jumping.any()):
             return self._followed((data, held), fits)[:2]
