@@ -98,7 +98,7 @@ def as_the_file(problem: Problem) -> Answered | None:
     if file is None:
         return None
     if bool((file.near | problem.data.still).all()):
-        return Answered(file.motions, file.model, {}, {})
+        return Answered(file.motions, file.model, _of_doubted_gains(problem), {})
     if not problem.data.weighed or not bool(problem.data.robot.gravity.any()):
         return None
     other = problem.followed(replace(problem.few, data=weighing_otherwise(problem.data)))
@@ -202,11 +202,11 @@ def _with_needed(problem: Problem, found: Answered) -> Answered:
 def _of_doubted_gains(problem: Problem) -> Worth:
     """Of gains that contradict all else that is known: what the file's servos leave as they are,
     and with the gains that all else says."""
-    doubted, file, start = problem.doubted, problem.file, problem.start
-    if not bool(doubted.any()) or file is None or start is None:
+    if problem.file is None or problem.given is None or not bool(problem.doubted.any()):
         return {}
-    as_given, without = (problem.few.losses(x) for x in (file.model.servos, start.servos))
-    return {GAINS[0].name: (without.masked_fill(~doubted, torch.nan), as_given)}
+    motions = problem.file.motions
+    without, with_it = (motions.losses(x) for x in (problem.given, problem.file.model.servos))
+    return {GAINS[0].name: (without.masked_fill(~problem.doubted, torch.nan), with_it)}
 
 
 def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:

@@ -97,7 +97,7 @@ def diagnose_positions(
     answered, known, odd = _how_well_known(answered, problem)
     result = _described(answered, known, problem)
     if held_out is not None:
-        servos = (problem.plain if problem.file is None else problem.file.model).servos
+        servos = problem.given or problem.plain.servos
         given = replace(result.corrected, robot=problem.data.robot, servos=servos, std=None)
         before, after = (
             accuracy(arm, held_out, ~problem.data.still) for arm in (given, result.corrected)
@@ -191,7 +191,7 @@ def _described(answered: Answered, known: Equations, problem: Problem) -> Positi
             )
             for j, on in enumerate(known.mask & ~still[:, None])
         ),
-        as_given=None if problem.file is None else problem.file.near,
+        as_given=None if problem.file is None else problem.file.near & ~problem.doubted,
         changes=changes_of(start, believed.servos.of("kp"), known, ratio_only, still)
         if start is not None and believed is not None
         else (),

@@ -75,10 +75,11 @@ def doubt_of(
     for value in said.unique().tolist():
         alike = said == value
         if bool((doubted := alike & gains.isfinite()).any()):
+            where = joints_words(doubted.nonzero().flatten().tolist())
             out.append(
-                f"The file's gain of {digits(value)} N m/rad ({joints_words(doubted.nonzero().flatten().tolist())}) contradicts "
-                "what this log makes of its masses, friction, rotors and limits of torque: they "
-                f"say some {float(gains[doubted][0]):.1g}. These are kept, and the gain is sought."
+                f"The file's gain of {digits(value)} N m/rad ({where}) contradicts its masses, "
+                "friction, rotors and limits of torque beside this log: they say some "
+                f"{float(gains[doubted][0]):.1g}. So it is sought."
             )
         own = found[alike & ~open_]
         if len(own) > 1 and float(own.max() / own.min()) > APART:

@@ -24,6 +24,7 @@ from torchid.position.rods import PER_METRE
 from torchid.position.search import plain
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.robot.model import Robot
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import MIDDLE, Windows, windows_of
 from torchid.statistics.criteria import ALIKE_LOSS, WORTHWHILE
 from torchid.typing import Bool, Float
@@ -100,6 +101,16 @@ class Problem:
         if self.start is None or self.gains is None:
             return self.start
         return believed(self.start, self.gains)
+
+    @cached_property
+    def given(self) -> Servos | None:
+        """The servos of the robot's file as they are nearest, with its gains; None without any."""
+        if self.file is None or self.start is None:
+            return None
+        servos, k = self.file.model.servos, INDEX["kp"]
+        joint = servos.joint.clone()
+        joint[:, k] = torch.where(self.doubted, self.start.servos.of("kp"), joint[:, k])
+        return replace(servos, joint=joint)
 
     def followed(self, motions: Motions) -> Followed:
         """How motions, of this arm or one like it, follow the servos of the robot's file."""
