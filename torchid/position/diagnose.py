@@ -210,7 +210,9 @@ def _ratios_alone(
     none = torch.zeros_like(data.still)
     # The file's gain and masses are the scale; the log refutes a gain beside masses alone.
     free = none if data.weighed or by_file is None else ~by_file
-    without = ~none if problem.file is None else problem.doubted
+    # Where the file's other numbers are followed as they are, they are the scale of a gain.
+    sought = problem.file is None or by_file is not None
+    without = ~none if problem.file is None else problem.doubted & sought
     if not bool(without.any()):
         return free, free
     k = known.names.index("kp")

@@ -21,7 +21,7 @@ from torchid.position.known_numbers import APART
 from torchid.position.payload import Loaded
 from torchid.position.problem import Problem
 from torchid.position.record import PositionFinding
-from torchid.statistics.criteria import LIKELY
+from torchid.statistics.criteria import LIKELY, UNSURE_SCALE
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float
 
@@ -131,9 +131,14 @@ class _Naming:
         was, unit = math.nan, kind.unit
         if start is not None and self.in_file(name, joint):
             was = float(start.servos.of(name)[joint])
-        if name == "kp" and bool((self.shares & self.problem.doubted)[joint]):
+        std, names = math.nan, self.known.names
+        if name in names:
+            std = float(self.known.deviations(self.shares)[joint, names.index(name)])
+        gains = self.problem.gains
+        doubted = gains is not None and bool(gains[joint].isfinite())
+        if name == "kp" and doubted and (bool(self.shares[joint]) or std > UNSURE_SCALE):
             # The log leaves it open: what all else says, but for what would be doubted, too.
-            value = float(self.problem.gains[joint])  # type: ignore[index]
+            value = float(gains[joint])
             return Number(title, unit, value, (value / APART, value * APART), was)
         if name == "delay":
             # Commands are simulated along straight lines; that they are held until the next one
@@ -144,9 +149,6 @@ class _Naming:
             believed = self.problem.believed
             was /= 1.0 if believed is None else float(believed.servos.of("kp")[joint])
             unit, title = PER_KP[unit], as_share(name)
-        std, names = math.nan, self.known.names
-        if name in names:
-            std = float(self.known.deviations(self.shares)[joint, names.index(name)])
         return Number(title, unit, value, value_interval(name, value, std), was)
 
     def in_file(self, name: str, joint: int) -> bool:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchid.effects.servo import INDEX
+from torchid.log.checks import near
 from torchid.log.model import Log
 from torchid.position.data import WINDOW_S, PositionData, missing_commands, prepare, tracks_of
 from torchid.position.effects import CORE, KEPT
@@ -323,12 +324,35 @@ def _cautions(data: PositionData) -> tuple[str, ...]:
             "ratios alone."
         )
     out += [
-        f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be in "
-        f"another unit than radians, by that factor"
+        _of_range(data, j)
+        or f"joint {j + 1}: dq is {float(s):.3g} times the rate of q, so q and u are taken to be "
+        "in another unit than radians, by that factor"
         for j, s in enumerate(data.scale)
         if s != 1
     ]
     return tuple(out)
+
+
+def _of_range(data: PositionData, joint: int) -> str:
+    """How to read a joint that is logged as a fraction, or per cent, of its range; empty where its
+    velocities do not say so."""
+    limits, q = data.robot.limits.position, data.log.q[:, joint]
+    if limits is None or not bool(limits[joint].isfinite().all()):
+        return ""
+    low, span = float(limits[joint, 0]), float(limits[joint, 1] - limits[joint, 0])
+    for whole, words in ((1.0, "a fraction"), (100.0, "per cent")):
+        inside = -0.1 * whole < float(q.min()) <= float(q.max()) < 1.1 * whole
+        if not inside or not near(float(data.scale[joint]) * whole, span):
+            continue
+        factors, zeros = ["1"] * data.robot.n, ["0"] * data.robot.n
+        factors[joint], zeros[joint] = f"{span / whole:.5g}", f"{-low * whole / span:.5g}"
+        line = f"*[{','.join(factors)}] - [{','.join(zeros)}]"
+        return (
+            f"joint {joint + 1} {data.robot.joint_names[joint]} is logged as {words} of its range: "
+            f"q = {span / whole:.4g} q{joint + 1} {low:+.4g} rad. Its zero is not known here; read "
+            f'it with --columns "q=q{{j}} {line},u=u{{j}} {line}"'
+        )
+    return ""
 
 
 def some_of(windows: Windows, most: int, size: Tensor | None = None) -> Windows:
