@@ -46,6 +46,7 @@ class ServoParameter:
         usual: size that servos have, of torques as a share of kp; None of what acts only beyond a
             limit: a log that does not come there says nothing of it.
         sizes: (V, n) values to try of what has no slope where it does not act; else None.
+        shape: whether it acts only beside another number, maybe of several effects.
     """
 
     name: str
@@ -60,6 +61,7 @@ class ServoParameter:
     of_type: bool = True
     usual: float | None = None
     sizes: Callable[[ServoMotion], Float[Tensor, "V n"]] | None = None
+    shape: bool = False
 
     @property
     def difference(self) -> float:
@@ -155,7 +157,7 @@ PARAMETERS = (
     ),
     ServoParameter(
         "stribeck_speed", "rad/s", "where stiction fades", 1.0, 0.08,
-        words=("speed at which stiction fades", "lower", "higher"),
+        words=("speed at which stiction fades", "lower", "higher"), shape=True,
     ),
     ServoParameter(
         "motor_share", "1", "friction per motor torque", 0.0, 0.1, "positive",
@@ -201,6 +203,12 @@ PARAMETERS = (
         words=("command factor", "smaller", "larger"), prior=0.05, step=2e-3, of_type=False,
         usual=0.05, sizes=_scales,
     ),
+    ServoParameter(
+        "stiction_share", "1", "more friction at rest per torque through the gear", 0.0, 0.1,
+        "positive", words=("extra friction share at rest", "smaller", "larger"), prior=0.3,
+        usual=0.1,
+    ),
+    ServoParameter("stribeck_exponent", "1", "of the speed that stiction fades with", 1.0, 1.0),
     ServoParameter(
         "damping_share", "1", "of the damping, within the clip", 0.0, 0.0, "real", of_type=False
     ),

@@ -22,7 +22,7 @@ from torchid.simulation.servo import Servos
 from torchid.statistics.criteria import ALIKE_LOSS
 from torchid.typing import Bool, Float
 
-SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
+SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share", "stiction_share")
 """What has a slope everywhere, beside the core."""
 NEARLY_EXPLAINED = 10.0
 """Times the loss that calls for no cause within which a model is fitted to the end [1]."""

@@ -55,15 +55,15 @@ LANES, SLOT = 16, 264
 COLUMNS = (
     "kp", "kd", "integral", "damping", "armature", "delay", "offset", "coulomb", "stiction",
     "stribeck_speed", "motor_share", "load_share", "clip", "dead_zone", "stop_low", "stop_high",
-    "damping_share",
+    "damping_share", "stiction_share", "stribeck_exponent",
 )  # fmt: skip
 """Parameters of servos that steps need, in this order."""
 (
     KP, KD, INTEGRAL, DAMPING, ARMATURE, DELAY, OFFSET, COULOMB, STICTION, STRIBECK, MOTOR_SHARE,
-    LOAD_SHARE, CLIP, DEAD_ZONE, LOW, HIGH, DAMPING_SHARE, PART, RATE, FADING, STOP, HARD, GAIN,
-    OUTSIDE, INSIDE,
-) = (k * SLOT for k in range(25))  # fmt: skip
-PARAMETERS = 25
+    LOAD_SHARE, CLIP, DEAD_ZONE, LOW, HIGH, DAMPING_SHARE, STICTION_SHARE, EXPONENT, PART, RATE,
+    FADING, STOP, HARD, GAIN, OUTSIDE, INSIDE,
+) = (k * SLOT for k in range(27))  # fmt: skip
+PARAMETERS = 27
 # What a step holds; Q to SUM are a state. Of A1 and AHEAD there are two copies.
 (
     Q, V, A, SUM, X0, D0, D1, J0, J1, F0, F1, NEAR, DOMINANCE, LOAD, LACKING, LEAN, SOFT, DRIVE,
@@ -678,15 +678,22 @@ def _exp(x: float) -> float:
 
 
 @_compiled
-def _resist(w: Array, a: Array, size: int, stiction: bool) -> None:
-    """The most that dry friction can hold now."""
+def _resist(w: Array, a: Array, size: int, fades: bool, bends: bool) -> None:
+    """The most that dry friction can hold now, of the torques of the motor, from outside, and their
+    difference, which the gear transmits."""
     for i in range(size):
-        motor = min(abs(w[DRIVE + i] - a[INSIDE + i] * w[V + i]), a[CLIP + i])
-        dry = a[COULOMB + i] + a[LOAD_SHARE + i] * abs(w[LOAD + i] - w[PUSH + i])
-        w[DRY + i] = dry + a[MOTOR_SHARE + i] * motor
-    if stiction:
+        motor = _between(w[DRIVE + i] - a[INSIDE + i] * w[V + i], -a[CLIP + i], a[CLIP + i])
+        external = w[PUSH + i] - w[LOAD + i]
+        shared = abs(a[LOAD_SHARE + i] * external - a[MOTOR_SHARE + i] * motor)
+        w[DRY + i] = a[COULOMB + i] + shared
+        w[HELD + i] = a[STICTION + i] + a[STICTION_SHARE + i] * abs(external - motor)
+        w[SLIP + i] = abs(w[V + i]) * a[FADING + i]
+    if bends:
         for i in range(size):
-            w[DRY + i] += a[STICTION + i] * _exp(abs(w[V + i]) * a[FADING + i])
+            w[SLIP + i] = -((-w[SLIP + i]) ** a[EXPONENT + i])
+    if fades:
+        for i in range(size):
+            w[DRY + i] += w[HELD + i] * _exp(w[SLIP + i])
 
 
 @_compiled
@@ -751,7 +758,9 @@ def simulate(run: Runs, out: Array) -> None:
     wait = run.each * h / 2
     sweeps, settled = (TOGETHER, 0.0) if known else (SWEEPS, SETTLED)
     # What takes the longest, and is left out where no set has it.
-    stiction = bool((run.joint[..., STICTION // SLOT] > 0).any())
+    fades = bool((run.joint[..., STICTION // SLOT] > 0).any())
+    fades = fades or bool((run.joint[..., STICTION_SHARE // SLOT] > 0).any())
+    bends = fades and bool((run.joint[..., EXPONENT // SLOT] != 1).any())
     touches = bool((run.plane[..., 4] > 0).any())
     # A body that is evaluated costs more than all else: one window after the other.
     most = max(1, min(LANES, SLOT // (2 * n))) if known else 1
@@ -809,7 +818,7 @@ def simulate(run: Runs, out: Array) -> None:
                     _drive(w, own, size, z, steps, jumping)
                     if touches:
                         _touch(lanes, n, m, h, run.contact_damping)
-                    _resist(w, own, size, stiction)
+                    _resist(w, own, size, fades, bends)
                     _solve(lanes, p, n, m, h, sweeps, settled)
                     _advance(w, own, size, h)
                 for slot in (Q, V, A, SUM):
