@@ -465,7 +465,8 @@ def all_kinds(n: int, sets: int, seed: int) -> Servos:
     joint = torch.stack([servos.joint for servos in each])
     kinds = (
         {"dead_zone": 0.01}, {"stiction": 2.0, "stribeck_speed": 0.1}, {"motor_share": 0.2},
-        {"load_share": 0.1}, {"stiction_share": 0.2, "stribeck_exponent": 1.5}, {"acceleration": 3.0}, {"lag": 0.05}, {"stop_high": 0.3},
+        {"load_share": 0.1, "stiction_share": 0.2, "stribeck_exponent": 1.5},
+        {"acceleration": 3.0}, {"lag": 0.05}, {"stop_high": 0.3},
         {"armature": 5.0, "integral": 0.0},
     )  # fmt: skip
     joint[::3, :, INDEX["armature"]] = 1e-3

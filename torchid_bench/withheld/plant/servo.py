@@ -40,8 +40,8 @@ clip [N m], sag of the supply per torque of all servos [1/(N m)], fade of kp ove
 offset [N m], delay, lag of a first-order filter, late position readings [s], share of commands that
 are dropped, scale of the command, limits of the set-point's acceleration [rad/s^2] and speed
 [rad/s], coulomb, stiction [N m] that fades with stribeck_speed [rad/s], friction per external and
-per motor torque, friction that fades per torque of the gear, cogging [N m] with teeth a turn, heating: how much friction falls [1],
-jitter of the times at which commands come [samples]."""
+per motor torque, friction that fades per torque of the gear, cogging [N m] with teeth a turn,
+heating: how much friction falls [1], jitter of the times at which commands come [samples]."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,10 @@ def _motion(
     model.dof_damping[motors] += p["kd"]
     model.dof_solimp[:, :2] = _RIGID
     model.dof_frictionloss[motors] = p["coulomb"]
-    beyond, varying = servos.beyond, ("stiction", "load_share", "motor_share", "stiction_share", "heating")
+    beyond, varying = (
+        servos.beyond,
+        ("stiction", "load_share", "motor_share", "stiction_share", "heating"),
+    )
     dry_changes = beyond is not None or any(map(servos.has, varying))
     data, forward = mujoco().MjData(model), mujoco().mj_step
     data.qpos[motors] = given[0]
