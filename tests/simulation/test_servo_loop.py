@@ -17,7 +17,7 @@ from tests.arms import arm
 from tests.documents import ROOT
 from tests.marks import some
 from tests.oracles import MujocoOracle
-from tests.simulation.bodies import flywheel
+from tests.simulation.bodies import INERTIA, flywheel
 from tests.trees import two_arms
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.effects.registry import nominal_effects
@@ -115,13 +115,15 @@ def by_mujoco(
     x, dx = a + (b - a) * (now - low), (b - a) / DT * (now > -1e-9)
     kp, kd, ki, clip, offset = (p[name] for name in ("kp", "kd", "integral", "clip", "offset"))
     out = [u[0]]
+    left = np.ones(robot.n)
     # An integrating servo bears the load before the motion begins.
     mujoco.mj_forward(model, data)
     summed = np.where(ki > 0, data.qfrc_bias - offset, 0.0)
     for k in range(len(x)):
         summed = summed + ki * step * (x[k] - data.qpos)
         torque = kp * (x[k] - data.qpos) + kd * (dx[k] - data.qvel) + summed
-        motor = torque.clip(-clip, clip)
+        motor = left * torque.clip(-clip, clip)
+        left = 1 - np.abs(motor).sum() / p["supply"]  # of the step after
         if gears is not None:
             model.dof_frictionloss[:] = gears.bound(data.qvel, motor, -data.qfrc_bias)
         data.qfrc_applied[:] = motor + offset
@@ -213,6 +215,39 @@ def test_a_joint_breaks_away_where_its_law_says(numbers: dict[str, float], load:
     moves = q[tracks.last, 0] != 0
     assert torch.equal(moves[certain], ((load + m).abs() > dry)[certain])
     assert 0 < int(moves.sum()) < len(m)
+
+
+@pytest.mark.parametrize("clip", [math.inf, 20.0])
+def test_a_supply_sags_with_the_sum_of_torques(clip: float) -> None:
+    """As of a voltage that each step of MuJoCo lowers by the torques of the step before."""
+    robot, tracks = arm("3r"), sines(3, 76, 1, seed=2)
+    servos = Servos.neutral(3, kp=300.0, kd=2.0, damping=20.0, armature=0.4, clip=clip)
+    servos.joint[:, INDEX["supply"]] = 300.0
+    q = tracks.u[tracks.first]
+    whole, still = windows_of(tracks, None), torch.zeros_like(q)
+    ours = replayed(robot, servos, tracks, whole, q, still, longest_step=5e-4)
+    theirs = torch.from_numpy(by_mujoco(robot, servos, tracks.u.numpy(), 2e-4))
+    assert float((ours - theirs).abs().max()) < 1e-3
+    stiff = replace(servos, joint=servos.joint.clone())
+    stiff.joint[:, INDEX["supply"]] = math.inf
+    assert float((replayed(robot, stiff, tracks, whole, q, still) - theirs).abs().max()) > 0.02
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.5])
+def test_a_limit_of_torque_falls_with_speed_by_what_is_beyond_it(share: float) -> None:
+    """A motor at full voltage: J dv = clip - (1 - share) b v, towards its speed without load."""
+    damping, limit, inertia = 2.0, 3.0, INERTIA + 0.1
+    servos = Servos.neutral(
+        1, kp=50.0, damping=damping, armature=0.1, clip=limit, damping_share=share
+    )
+    tracks = steady(20.0, 1.0)
+    zero = torch.zeros(2, 1, 1).double()
+    q = replayed(flywheel(), servos, tracks, windows_of(tracks, None), *zero, longest_step=1e-3)[
+        :, 0
+    ]
+    t, rate = DT * torch.arange(len(q), dtype=torch.float64), (1 - share) * damping / inertia
+    way = t**2 / 2 if rate == 0 else (t - (1 - (-rate * t).exp()) / rate) / rate
+    assert torch.allclose(q, limit / inertia * way, atol=1e-3)
 
 
 def steady(level: float, seconds: float) -> Tracks:

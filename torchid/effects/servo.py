@@ -102,6 +102,11 @@ def _clips(m: ServoMotion) -> Float[Tensor, "V n"]:
     return _shares(0.04, 0.1, 0.2, 0.4, 0.6, 0.8) * (m.u - m.q).abs().quantile(0.999, 0) * m.kp
 
 
+def _supplies(m: ServoMotion) -> Float[Tensor, "V n"]:
+    total = ((m.u - m.q).abs() * m.kp).sum(1).quantile(0.99)
+    return _shares(1.0, 3.0, 10.0) * total.expand(len(m.kp))
+
+
 def _speeds(m: ServoMotion) -> Float[Tensor, "V n"]:
     return _shares(0.4, 0.55, 0.7, 0.85, 1.0) * m.dq.abs().quantile(0.9999, 0).clamp(min=0.1)
 
@@ -207,6 +212,11 @@ PARAMETERS = (
         "stiction_share", "1", "more friction at rest per torque through the gear", 0.0, 0.1,
         "positive", words=("extra friction share at rest", "smaller", "larger"), prior=0.3,
         usual=0.1,
+    ),
+    ServoParameter(
+        "supply", "N m", "sum of all torques over the share of its voltage that they take", _INF,
+        50.0, words=("stiffness of the supply", "lower", "higher"), of_type=False,
+        sizes=_supplies,
     ),
     ServoParameter("stribeck_exponent", "1", "of the speed that stiction fades with", 1.0, 1.0),
     ServoParameter(
@@ -326,6 +336,14 @@ _EVERY = (
         "saturation", "servo", ("clip",),
         "The servo's torque is limited.", "Clip the actuator's force.",
         "|torque| <= clip", "send large steps against gravity",
+    ),
+    ServoEffect(
+        "supply_sag", "servo", ("supply",),
+        "All servos share a supply, whose voltage falls with the sum of their torques.",
+        "Multiply torques and their limits by the share of the voltage that is left.",
+        "f clip(kp e), f = 1 - sum of |torques| / supply = 1 / (1 + sum of |clip(kp e)| / supply)",
+        "hold loaded postures with one joint, then with all at once",
+        gloss="the voltage falls under load",
     ),
     ServoEffect(
         "dead_zone", "servo", ("dead_zone",),

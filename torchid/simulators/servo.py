@@ -47,7 +47,8 @@ AT_RUN_TIME = ("kd", "acceleration", "speed")
 FIELDS = ("damping", "coulomb", "armature")
 """Parameters that simulators have fields of joints for."""
 BY_LOAD = ("load_share", "stiction_share")
-"""Parameters whose friction is by the load, which follows from all joints."""
+OF_ALL = (*BY_LOAD, "supply")
+"""Parameters by which friction is by the load, and those whose torque is by all joints at once."""
 NOT_AS_EFFORT = ("stop_low", "stop_high")
 """Parameters that an actuator does nothing about: limits are the joint's."""
 AS_EFFORT = tuple(p.name for p in PARAMETERS if p.name not in NOT_AS_EFFORT)
@@ -206,9 +207,10 @@ class ServoTorque:
         p = {x.name: servos.of(x.name).to(device, dtype) for x in PARAMETERS}
         neutral = {x.name: x.neutral for x in PARAMETERS}
         self._knows_load = sorted(self.joints) == list(range(robot.n))
-        out_of_reach = NOT_AS_EFFORT if self._knows_load else (*BY_LOAD, *NOT_AS_EFFORT)
+        out_of_reach = NOT_AS_EFFORT if self._knows_load else (*OF_ALL, *NOT_AS_EFFORT)
         unmade = [name for name in out_of_reach if bool((p[name] != neutral[name]).any())]
-        p |= {} if self._knows_load else {name: torch.zeros_like(p[name]) for name in BY_LOAD}
+        for name in () if self._knows_load else OF_ALL:
+            p[name] = torch.full_like(p[name], neutral[name])
         self._loaded = any(bool((p[name] > 0).any()) for name in BY_LOAD)
         self.ignored = (*unmade, *["plane"] * bool((every.plane[..., 4] > 0).any()))
         self._p, self._dt, self._steps, self._fields = p, dt, steps, fields
@@ -270,6 +272,7 @@ class ServoTorque:
         inside = p["damping_share"] * p["damping"]
         motor = p["kp"] * error + p["kd"] * (dx - dq) - inside * dq + self._sum
         motor = motor.clamp(-p["clip"], p["clip"])
+        motor = motor / (1 + motor.abs().sum(-1, keepdim=True) / p["supply"])
         # What the servo cannot give is not summed.
         self._sum = (self._sum + p["integral"] * dt * error).clamp(-p["clip"], p["clip"])
         load = self._load(q, dq) if self._loaded else torch.zeros_like(q)
