@@ -253,6 +253,7 @@ class ServoEffect:
         twin: a cause that is not looked for, because no log of commands and positions separates it
             from this one.
         twin_below: whether that is so only where the first parameter is below its neutral value.
+        shared: whether it is of all joints, or of none.
     """
 
     name: str
@@ -265,6 +266,7 @@ class ServoEffect:
     twin: str = ""
     twin_below: bool = False
     gloss: str = ""
+    shared: bool = False
 
     @staticmethod
     def logs() -> tuple[str, ...]:
@@ -343,7 +345,7 @@ _EVERY = (
         "Multiply torques and their limits by the share of the voltage that is left.",
         "f clip(kp e), f = 1 - sum of |torques| / supply = 1 / (1 + sum of |clip(kp e)| / supply)",
         "hold loaded postures with one joint, then with all at once",
-        gloss="the voltage falls under load",
+        gloss="the voltage falls under load", shared=True,
     ),
     ServoEffect(
         "dead_zone", "servo", ("dead_zone",),

@@ -360,6 +360,11 @@ def _with_best_effects(
     """With the best effect on every joint that has a gap; and on those what does as well."""
     names = [name for name in tried if BY_NAME[name].parameters]
     left_by = torch.stack([tried[name][1] for name in names])
+    # What all joints share is on all that have a gap the best, or on none.
+    gaps, alone = losses > motions.slight, left_by.amin(0)
+    for row, name in zip(left_by, names, strict=True):
+        if BY_NAME[name].shared and not bool((row <= alone)[gaps].all()):
+            row.fill_(torch.inf)
     least, (best, which) = motions.slight, left_by.min(0)
     rivals: Rivals = {}
     waiting = motions.every
