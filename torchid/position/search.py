@@ -22,7 +22,7 @@ from torchid.simulation.servo import Servos
 from torchid.statistics.criteria import ALIKE_LOSS
 from torchid.typing import Bool, Float
 
-SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
+SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share", "stiction_share")
 """What has a slope everywhere, beside the core."""
 NEARLY_EXPLAINED = 10.0
 """Times the loss that calls for no cause within which a model is fitted to the end [1]."""
@@ -355,6 +355,11 @@ def _with_best_effects(
     """With the best effect on every joint that has a gap; and on those what does as well."""
     names = [name for name in tried if BY_NAME[name].parameters]
     left_by = torch.stack([tried[name][1] for name in names])
+    # What all joints share is on all that have a gap the best, or on none.
+    gaps, alone = losses > motions.slight, left_by.amin(0)
+    for row, name in zip(left_by, names, strict=True):
+        if BY_NAME[name].shared and not bool((row <= alone)[gaps].all()):
+            row.fill_(torch.inf)
     least, (best, which) = motions.slight, left_by.min(0)
     rivals: Rivals = {}
     waiting = motions.every
