@@ -135,10 +135,11 @@ class _Naming:
         if name in names:
             std = float(self.known.deviations(self.shares)[joint, names.index(name)])
         gains = self.problem.gains
-        doubted = gains is not None and bool(gains[joint].isfinite())
-        if name == "kp" and doubted and (bool(self.shares[joint]) or std > UNSURE_SCALE):
+        value_by_others = math.nan if gains is None else float(gains[joint])
+        unsure = bool(self.shares[joint]) or std > UNSURE_SCALE
+        if name == "kp" and unsure and math.isfinite(value_by_others):
             # The log leaves it open: what all else says, but for what would be doubted, too.
-            value = float(gains[joint])
+            value = value_by_others
             return Number(title, unit, value, (value / APART, value * APART), was)
         if name == "delay":
             # Commands are simulated along straight lines; that they are held until the next one
