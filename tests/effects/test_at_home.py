@@ -15,6 +15,7 @@ OTHER_MEANINGS = Counter(
         "app/help.py": 1,  # the command `payload`
         "doctor/torque.py": 2,  # the check `saturation`
         "export/servo_mjcf.py": 1,  # MJCF's element `contact`
+        "position/in_mujoco.py": 1,  # MuJoCo's contacts
         "position/nominal.py": 1,  # the servo's number `dead_zone`, here and below
         "position/search.py": 2,
         "simulation/servo_kernel.py": 1,

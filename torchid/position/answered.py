@@ -20,9 +20,8 @@ from torchid.position.record import error_words
 from torchid.position.search import (
     PROFILE_STAGE,
     STAGED,
+    WORST,
     Rivals,
-    SingleEffects,
-    best_single_effect_per_joint,
     full,
     plain,
     settled,
@@ -113,44 +112,27 @@ def best_answer(
 ) -> Answered:
     """What the search finds in few windows and each effect is worth there, fitted to more.
 
-    Where one number a joint explains what a file's servos lack, nothing else is looked for; else
-    these are begun with where they are nearer than plain ones. What there is no time for is left
-    out.
+    Where a file's servos with other numbers explain what it lacks, nothing else is looked for; else
+    a search begins with them where they are nearer than plain ones. What there is no time for is
+    left out.
     """
     pace = pace or Pace(None, {})
-    pace("one effect at a time")
     given, problem = problem, _weighing_as_log(problem)
-    few, squares = problem.few, problem.squares
-    begun, single, file = problem.simple, None, problem.file
-    first = problem.plain if file is None else file.model
+    few, squares, file = problem.few, problem.squares, problem.file
     if watch is not None:
-        watch(undecided(few, first, file is not None))
-    others_than_core = "effects beside gains, friction and delay", "one effect at a time"
+        watch(undecided(few, problem.plain if file is None else file.model, file is not None))
+    begun = problem.simple
     if file is not None:
-        single = SingleEffects(file.model, ~few.every, {})
-        if pace.has_time(*others_than_core):
-            single = _beside_file_servos(few, file.model, problem.simple.free)
-        before, after = (m.losses(few) for m in (begun, single.model))
-        begun = single.model.joined(begun, before <= after)
-    loaded, others = None, tuple[str, ...]()
-    if single is None or not bool((single.explained | problem.data.still).all()):
-        single = SingleEffects(begun, ~few.every, {})
-        if pace.has_time(*others_than_core):
-            single = best_single_effect_per_joint(few, begun)
-        if file is None:
-            pace("a load")
-            if pace.has_time("a load", "a load"):
-                loaded, single, others = _or_a_load(few, begun, single)
-        whole = bool(single.explained.all())
-        if not whole and pace.has_time("several effects on one joint", *SEVERAL):
-            several = full(few, pace)
-            several = _no_worse(few, begun, several)
-            several = _no_worse(few, single.model, several)
-            single = replace(single, model=with_usual_effects(few, several))
-            loaded = with_load(few, single.model) if file is None else None
+        numbers = _refitted(few, file.model, begun.free)
+        begun = numbers.joined(begun, begun.losses(few) <= numbers.losses(few))
+    found, loaded, few_left = begun, None, begun.losses(few) <= few.slight
+    effects = "effects beside gains, friction and delay"
+    if not bool((few_left | problem.data.still).all()) and pace.has_time(effects, *SEVERAL):
+        several = full(few, pace, None if file is None else begun)
+        found = with_usual_effects(few, _no_worse(few, begun, several))
+        loaded = with_load(few, found) if file is None else None
     pace("what each effect is worth")
-    motions, model = few, settled(few, single.model)
-    worth, rivals = Worth(), Rivals()
+    motions, model, worth = few, settled(few, found), Worth()
     if problem is not given:
         worth[GRAVITY.name] = (
             given.few.losses(given.simple.servos),
@@ -159,12 +141,14 @@ def best_answer(
     if loaded is not None:
         losses = (few.losses(model.servos), loaded.motions.losses(loaded.model.servos))
         gain = few.each((losses[0] - losses[1]).sum(1, keepdim=True))
-        if float(gain.sum()) > squares * float(losses[0].sum()) and bool(mostly_better(gain)):
-            worth[PAYLOAD.name], rivals[PAYLOAD.name, None] = losses, others
+        least = LeastFall.beside(loaded.motions, loaded.model.servos)
+        told = float(least.told(model.losses(few)).sum())
+        likely = told > _paid(least, [(PAYLOAD.name, None)]) and bool(mostly_better(gain))
+        if likely and float(gain.sum()) > squares * float(losses[0].sum()):
+            worth[PAYLOAD.name] = losses
             motions, model = loaded.motions, settled(loaded.motions, loaded.model)
-    rivals |= {at: names for at, names in single.rivals.items() if bool(single.explained[at[1]])}
     loaded = loaded if PAYLOAD.name in worth else None
-    answered = _with_needed(problem, Answered(motions, model, worth, rivals, loaded))
+    answered = _with_needed(problem, Answered(motions, model, worth, Rivals(), loaded))
     anchored = ~(problem.doubted | problem.data.still)  # by a gain that is known
     if file is None or not few.data.weighed or not bool(anchored.any()):
         return answered
@@ -225,8 +209,7 @@ def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:
     if load is None:
         return answered
     free = {**load.model.free, **problem.simple.free}
-    heavy = _beside_file_servos(load.motions, load.model, free).model
-    heavy = settled(load.motions, heavy)
+    heavy = settled(load.motions, _refitted(load.motions, load.model, free))
     # What the servos named beside it leave without it.
     held = {name: on for name, on in heavy.free.items() if name not in ANCHORS}
     bare = replace(heavy, free=held).fitted(few, 8)
@@ -300,51 +283,9 @@ def _weighing_as_log(problem: Problem) -> Problem:
     return other if min(map(float, falls)) > math.log(ALIKE_LOSS) else problem
 
 
-def _beside_file_servos(
-    few: Motions, file: ServoModel, free: Mapping[str, Tensor]
-) -> SingleEffects:
-    """The numbers that a file's servos have, refitted; where these leave a gap one more a joint
-    beside them."""
-    numbers = replace(file, free={**file.free, **free}).fitted(few, 12, plane=True)
-    explained = numbers.losses(few) <= few.slight
-    if bool((explained | few.data.still).all()):
-        return SingleEffects(numbers, explained, {})
-    # How late commands come within a sample is no cause.
-    fixed = replace(file, free={"delay": few.every})
-    effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
-    single = best_single_effect_per_joint(few, fixed, effects).model
-    freed = replace(single, free={**free, **single.free})
-    model = _no_worse(few, numbers, freed.fitted(few, 8, plane=True))
-    # What came as near before the gains were refitted is no rival yet.
-    return SingleEffects(model, model.losses(few) <= few.slight, {})
-
-
-def _or_a_load(
-    few: Motions, simple: ServoModel, single: SingleEffects
-) -> tuple[Loaded | None, SingleEffects, tuple[str, ...]]:
-    """A load with single effects beside it, where that explains the motions better than single
-    effects alone; and names of what explains them as well."""
-    enough = bool((simple.losses(few) <= few.slight).all())
-    load = None if enough else with_load(few, simple)
-    if load is None:
-        return None, single, ()
-    # One cause of what all joints show, where no more is needed, comes before several.
-    heavy = best_single_effect_per_joint(load.motions, load.model)
-    with_it = float(heavy.model.losses(load.motions).sum())
-    without = float(single.model.losses(few).sum())
-    # Of two complete explanations the one of fewer causes counts, then the nearer one.
-    causes, complete = 1 + heavy.model.causes, bool(single.explained.all())
-    fewer = causes < single.model.causes
-    as_few = causes == single.model.causes and with_it < without
-    if not bool(heavy.explained.all()) or not (fewer or as_few or not complete):
-        return None, single, ()
-    others = tuple[str, ...]()
-    if complete and without < ALIKE_LOSS * with_it:
-        present = (e for e in EFFECTS if bool(single.model.where(e).any()))
-        others = tuple(e.name for e in present if e not in KEPT)
-    # The servos without the load stay those that it is held against.
-    explained = replace(heavy, model=single.model)
-    return replace(load, model=heavy.model), explained, others
+def _refitted(few: Motions, file: ServoModel, free: Mapping[str, Tensor]) -> ServoModel:
+    """The numbers that a file's servos have, and what else is free, refitted."""
+    return replace(file, free={**file.free, **free}).fitted(few, 12, plane=True)
 
 
 def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoModel:
@@ -384,6 +325,9 @@ def needed_effects(
         left = motions.losses(lean.servos).sum(0)
         fall = left - whole.sum(0)
         lost = (fall > squares * left) & (fall > least.of(1))
+        # The joints that are worst first: what others lose may be these joints' doing.
+        excess = torch.where(lost, fall / least.of(1), 0.0)
+        lost &= excess >= WORST * excess.amax()
         back = [(waiting[j].pop(), j) for j in lost.nonzero().flatten().tolist() if waiting[j]]
         if not back:
             break

@@ -43,7 +43,7 @@ from torchid.statistics.criteria import UNSURE_SCALE, WORTHWHILE
 from torchid.typing import Bool, Tensor
 
 STAGES = {
-    "checking the log": 1, "a plain servo": 11, "one effect at a time": 33, "a load": 6, **SEVERAL,
+    "checking the log": 1, "a plain servo": 11, "a load": 6, **SEVERAL,
     "what each effect is worth": 11, "how far it goes": 8,
 }  # fmt: skip
 """That are told as progress, with about the share of the time that each takes [1]."""
