@@ -22,7 +22,7 @@ PACKAGES := torchid torchid_study torchid_bench
 SHELL := bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: demo test test-one test-two test-slow nightly zoo controls criteria golden durations coverage lint format docs notebooks docs-site fuzz test-lowest test-newest bench clean
+.PHONY: demo test test-one test-two test-slow nightly zoo controls golden durations coverage lint format docs notebooks docs-site fuzz test-lowest test-newest bench clean
 
 demo: $(VENV)/.core
 	$(BIN)/torchid demo --out demo
@@ -63,13 +63,6 @@ zoo: $(VENV)/.dev
 # diagnosis that failed, are errors. ROWS=ur10e,emps are some arms.
 controls: $(VENV)/.dev
 	$(BIN)/python -m torchid_bench.benchmarks.controls --jobs $(shell nproc) --page docs/controls.md $(if $(ROWS),--rows $(ROWS))
-
-# What doubling and halving the numbers that decide an answer does to simulated cases: hours.
-criteria: COUNT ?= 60
-criteria: $(VENV)/.dev
-	rm -rf build/cases && mkdir -p build
-	$(BIN)/torchid withheld make --out build/cases --cases $(COUNT) --seed 5757 --quiet
-	$(BIN)/python -m torchid_bench.benchmarks.criteria build/cases --jobs $(shell nproc) --out build/criteria.md
 
 # Answers to twelve small logs beside the stored ones: code that was only moved changes none of them.
 golden: $(VENV)/.dev

@@ -15,6 +15,7 @@ OTHER_MEANINGS = Counter(
         "app/help.py": 1,  # the command `payload`
         "doctor/torque.py": 2,  # the check `saturation`
         "export/servo_mjcf.py": 1,  # MJCF's element `contact`
+        "position/in_mujoco.py": 1,  # MuJoCo's contacts
         "position/nominal.py": 1,  # the servo's number `dead_zone`, here and below
         "position/search.py": 2,
         "simulation/servo_kernel.py": 1,
@@ -29,7 +30,6 @@ STILL_AWAY = Counter(
         "pair/record.py": 1,
         "pair/servos.py": 1,
         "position/effects.py": 5,
-        "position/search.py": 6,
         "results/words.py": 2,  # what a sentence says otherwise, below the effects
         "robot/assemble.py": 6,  # what a file's joint is read as, below the effects
     }

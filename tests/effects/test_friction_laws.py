@@ -10,6 +10,7 @@ from torchid.effects.friction import CoulombFriction, TorqueOffset
 from torchid.effects.friction_laws import (
     AsymmetricFriction,
     LoadDependentFriction,
+    LoadDependentStribeck,
     PowerLawFriction,
     StribeckFriction,
 )
@@ -49,6 +50,16 @@ def test_power_law_by_hand(a: float) -> None:
 def test_load_dependent_friction_has_the_sign_of_the_speed_not_the_load(load: float) -> None:
     found = LoadDependentFriction(0).torque(at(-2.0, 0.0, 0.1, torque=load), [0.1])
     assert found.tolist() == [-0.5, 0.0, 0.5]
+
+
+@pytest.mark.parametrize("load", [5.0, -5.0])
+def test_what_fades_grows_with_the_load(load: float) -> None:
+    """A tenth of 5 N m at rest, e times less at vs; Stribeck friction of half a newton metre."""
+    effect, speeds = LoadDependentStribeck(0, vs=0.2, d=1.5), (-1e-14, 0.2, -0.4)
+    found = effect.torque(at(*speeds, torque=load), [0.1])
+    assert found.tolist() == pytest.approx([-0.5, 0.5 / math.e, -0.5 / math.exp(2**1.5)], rel=1e-9)
+    plain = StribeckFriction(0, vs=0.2, d=1.5).torque(at(*speeds), [0.5])
+    torch.testing.assert_close(found, plain, rtol=1e-14, atol=0)
 
 
 def test_asymmetry_by_direction() -> None:

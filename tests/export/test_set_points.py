@@ -177,3 +177,20 @@ def test_servos_with_set_points_pull_as_they_should(limited):
     offset = float(arm.servos.of("offset")[1])
     assert force[0, 1] == pytest.approx(300.0 + offset)
     assert isinstance(arm.servos, Servos)
+
+
+@pytest.mark.parametrize("speed", [np.inf, TOP])
+def test_a_limit_holds_the_servos_own_damping_too(speed, tmp_path):
+    """`check_servos` compares the force of two actuators with that of one servo; read again the
+    file has the servo that was written."""
+    own = {
+        "acceleration": (2, A),
+        "clip": (2, 40.0),
+        "damping_share": (2, 0.8),
+        "speed": (2, speed),
+    }
+    done = written(tmp_path, **own)
+    (path,) = done.files[:1]
+    again, given = mjcf_servos(path, robot().joint_names)[1], true_servos(3, **own)
+    for name in ("clip", "damping", "damping_share", "offset"):
+        assert again[name] == pytest.approx(float(given.of(name)[1]), rel=1e-6)

@@ -16,6 +16,8 @@ from torchid.export.export import export_dynamics
 from torchid.export.results import robot_dynamics, servo_dynamics
 from torchid.position.model import ServoArm
 from torchid.robot.model import Robot
+from torchid.simulation.replay import replayed
+from torchid.simulation.servo_loop import Tracks, windows_of
 from torchid.simulators.actuator import EffectTorque
 from torchid.simulators.servo import ServoTorque
 from torchid_bench.benchmarks.targets.motion import Played
@@ -122,3 +124,37 @@ def test_isaac_lab_gives_the_efforts(kind: str, tmp_path: Path) -> None:
         resisted = now[0] - effects.torque(*now[1:], step, now[0])
         expected.append(drives.torque(*now) if kind == "servos" else resisted)
     np.testing.assert_allclose(found, torch.stack(expected, 1), atol=1e-3)
+
+
+FADES = {"stiction": 8.0, "stribeck_speed": 0.4, "stribeck_exponent": 1.5}
+FRICTION = {
+    "m1": {}, "m2": FADES, "m3": {"load_share": 0.1, "motor_share": 0.1},
+    "m4": {**FADES, "stiction_share": 0.2, "load_share": 0.1, "motor_share": 0.1},
+    "m5": {**FADES, "stiction_share": 0.2, "load_share": 0.2, "motor_share": 0.05},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("model", FRICTION)
+def test_bam_moves_as_the_simulation_of_servos_does(model: str, tmp_path: Path) -> None:
+    """Its own controller in MuJoCo, which knows the torques of the step before."""
+    python_of("bam")
+    plain = ServoArm.of(arm("3r"), kp=900.0, damping_share=0.4, **JOINTS)
+    own = ServoArm.of(arm("3r"), kp=900.0, damping_share=0.4, **JOINTS, **FRICTION[model])
+    motion = prepared(servo_dynamics(own), tmp_path, "mjcf", "bam")
+    motion = replace(motion, steps=40, dq=0 * motion.dq)
+    motion.write(tmp_path)
+    found = play("bam", tmp_path)
+    windows, controls, n = found.shape
+    # A command is held until the next one.
+    u = torch.from_numpy(motion.control.repeat(motion.steps, 1)).flatten(0, 1)
+    first = torch.arange(windows) * controls * motion.steps
+    tracks = Tracks(u, first, first + controls * motion.steps - 1, motion.step)
+    start = torch.from_numpy(motion.q), torch.from_numpy(motion.dq)
+
+    def simulated(servos: ServoArm) -> np.ndarray:
+        q = replayed(servos.robot, servos.servos, tracks, windows_of(tracks, None), *start)
+        return q.view(windows, -1, n)[:, :: motion.steps].numpy()
+
+    apart = np.abs(found - simulated(own)).max()
+    assert apart < 1e-3
+    assert model == "m1" or np.abs(found - simulated(plain)).max() > 5e-3

@@ -34,6 +34,7 @@ CASES = {
     "power_law_friction:joint=1,a=1.7": {"F2": 0.4},
     "stribeck_friction:joint=2,vs=0.3": {"Fs": 0.8},
     "load_dependent_friction:joint=2": {"mu": 0.08},
+    "load_dependent_stribeck:joint=2,vs=0.3": {"mus": 0.08},
     "presliding_hysteresis:joint=2,length=0.1": {"Fh": 0.6},
     "load_hysteresis:joint=2,length=0.05": {"mu_h": 0.06},
     "end_stop:joint=1,limit=2,towards=1": {"ks": 20.0},

@@ -20,10 +20,12 @@ from torchid.position.servo_model import ServoModel
 from torchid.report.brief import model_words
 from torchid.report.position import remarks, where_table
 from torchid.results.files import load
+from torchid.simulation.servo import Servos
 from torchid.simulation.servo_loop import Windows
 
 CAUSES = {
     "stribeck_friction": {"stiction": (2, 4.0), "stribeck_speed": (2, 0.02)},
+    "load_dependent_stribeck": {"stiction_share": (2, 0.3), "stribeck_speed": (2, 0.3)},
     "set_point_profile": {"acceleration": (2, 4.0)},
     "end_stop": {"stop_high": (3, 0.25)},
     "derivative_gain": {"kd": (2, 25.0)},
@@ -184,6 +186,23 @@ def test_what_is_usual_is_no_cause(effect, name, size, most, left):
     assert model.beyond(BY_NAME[effect], usual).tolist() == [False, True, False]
     less = model.without(BY_NAME[effect], every, usual)
     assert less.servos.of(name).tolist() == pytest.approx(left)
+
+
+def test_a_speed_of_two_effects_stays_with_the_other():
+    every = torch.ones(3, dtype=torch.bool)
+    numbers = {"stiction": 2.0, "stiction_share": 0.2, "stribeck_speed": 0.3}
+    servos = Servos.neutral(3, kp=260.0, **numbers)
+    free = dict.fromkeys(numbers, every) | {"stiction": torch.arange(3) > 0}
+    model = ServoModel(servos, free)
+    more, share = BY_NAME["stribeck_friction"], BY_NAME["load_dependent_stribeck"]
+    assert model.where(more).tolist() == [False, True, True]
+    less = model.without(share, every, {})
+    assert not less.where(share).any()
+    assert less.where(more).tolist() == [False, True, True]
+    assert less.servos.of("stribeck_speed").tolist() == pytest.approx([1.0, 0.3, 0.3])
+    none = less.without(more, every, {})
+    assert not none.free
+    assert none.servos.of("stribeck_speed").tolist() == [1.0] * 3
 
 
 @pytest.mark.parametrize(("offset", "named"), [(1.0, set()), (12.0, {("torque_offset", 2)})])

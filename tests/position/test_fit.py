@@ -141,7 +141,8 @@ def test_what_is_new_changed_and_as_known(found):
     joint[1, INDEX["kp"]], joint[1, INDEX["clip"]], joint[1, INDEX["delay"]] = 130.0, 40.0, 0.0
     start = ServoArm(robot(), Servos(joint, servos.plane), torch.ones(3).double())
     shares = torch.tensor([True, False, False])
-    changes = changes_of(start, known, shares, torch.tensor([False, False, True]))
+    gains, still = start.servos.of("kp"), torch.tensor([False, False, True])
+    changes = changes_of(start, gains, known, shares, still)
     states = {(c.joint, c.parameter): c.state for c in changes}
     assert states[1, "kp"] == "changed"
     assert states[1, "clip"] == "open"  # a limit that the log may not have reached
@@ -163,7 +164,9 @@ def test_a_limit_that_the_file_leaves_at_infinity_is_new(found, monkeypatch):
     start = ServoArm(robot(), servos, torch.ones(3).double())
     none = torch.tensor([False] * 3)
     assert math.isinf(float(servos.joint[1, INDEX["clip"]]))
-    (change,) = [c for c in changes_of(start, known, none, none) if c.parameter == "clip"]
+    (change,) = [
+        c for c in changes_of(start, servos.of("kp"), known, none, none) if c.parameter == "clip"
+    ]
     assert (change.joint, change.state, change.now) == (1, "new", 6.0)
     assert math.isnan(change.was)
 

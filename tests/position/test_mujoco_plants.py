@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import torchid
+from torchid_bench.withheld.plant.case import simulate_case
+from torchid_bench.withheld.plant.draw import draw_case
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -75,3 +77,24 @@ def test_of_a_file_that_is_right_nothing_is_named(tmp_path):
     found = diagnosed(tmp_path / "arm.xml", xml(), xml())
     assert not [c for c in found.answer.causes if c.how_sure > 0.9]
     assert found.answer.before.value < 5.0  # 10.6 where commands go along lines between rows
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cause", "joints"), [("load_dependent_stribeck", {2}), ("supply_sag", {0, 1, 2})]
+)
+def test_what_the_sealed_plant_has_is_named(cause, joints, tmp_path):
+    """Its servos share no line with the simulation that the search is made with."""
+    case = simulate_case(draw_case(3, 0, effects=[cause], arm="3r", mix="position"))
+    (tmp_path / "arm.urdf").write_text(case.urdf)
+    x = {k: np.stack([case.columns[f"{k}{j}"] for j in (1, 2, 3)], 1) for k in "qu"}
+    log = torchid.Log(case.columns["t"], x["q"], u=x["u"], trajectory=case.columns["traj"])
+    found = torchid.diagnose(tmp_path / "arm.urdf", log)
+    assert {c.effect for c in found.answer.causes} == {cause}
+    assert {j for c in found.answer.causes for j in c.joints} == joints
+    (planted,) = case.key["effects"]
+    if len(joints) == 1:
+        (one,) = found.answer.causes
+        sizes = {size.name: size.value for size in one.sizes}
+        for name, value in planted["parameters"].items():
+            assert sizes[name] == pytest.approx(value, rel=0.1)

@@ -17,7 +17,7 @@ from tests.arms import arm
 from tests.documents import ROOT
 from tests.marks import some
 from tests.oracles import MujocoOracle
-from tests.simulation.bodies import flywheel
+from tests.simulation.bodies import INERTIA, flywheel
 from tests.trees import two_arms
 from torchid.dynamics.forward import bias_torque, gravity_torque, mass_matrix
 from torchid.effects.registry import nominal_effects
@@ -39,6 +39,7 @@ from torchid.simulation.servo_loop import (
     upwards,
     windows_of,
 )
+from torchid_bench.withheld.plant.servo_friction import LAWS, GearFriction, gears, published
 
 DT = 0.02
 
@@ -89,8 +90,11 @@ def drawn(n: int, seed: int) -> Servos:
     return servos
 
 
-def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
-    """(T, n) positions of MuJoCo's model with the same servos, from rest at the first command."""
+def by_mujoco(
+    robot, servos: Servos, u: np.ndarray, step: float, gears: GearFriction | None = None
+) -> np.ndarray:
+    """(T, n) positions of MuJoCo's model with the same servos, from rest at the first command;
+    their dry friction is the gears' if these are given."""
     import mujoco
 
     model = MujocoOracle(robot).model
@@ -111,13 +115,18 @@ def by_mujoco(robot, servos: Servos, u: np.ndarray, step: float) -> np.ndarray:
     x, dx = a + (b - a) * (now - low), (b - a) / DT * (now > -1e-9)
     kp, kd, ki, clip, offset = (p[name] for name in ("kp", "kd", "integral", "clip", "offset"))
     out = [u[0]]
+    left = np.ones(robot.n)
     # An integrating servo bears the load before the motion begins.
     mujoco.mj_forward(model, data)
     summed = np.where(ki > 0, data.qfrc_bias - offset, 0.0)
     for k in range(len(x)):
         summed = summed + ki * step * (x[k] - data.qpos)
         torque = kp * (x[k] - data.qpos) + kd * (dx[k] - data.qvel) + summed
-        data.qfrc_applied[:] = torque.clip(-clip, clip) + offset
+        motor = left * torque.clip(-clip, clip)
+        left = 1 - np.abs(motor).sum() / p["supply"]  # of the step after
+        if gears is not None:
+            model.dof_frictionloss[:] = gears.bound(data.qvel, motor, -data.qfrc_bias)
+        data.qfrc_applied[:] = motor + offset
         mujoco.mj_step(model, data)
         if (k + 1) % steps == 0:
             out.append(data.qpos.copy())
@@ -153,6 +162,92 @@ def test_the_closed_loop_is_mujocos(name, cases, samples, bound):
         rows = slice(k * samples, (k + 1) * samples)
         theirs = by_mujoco(robot, servos, tracks.u[rows].numpy(), 2e-4)
         assert np.abs(ours[rows].numpy() - theirs).max() < bound, k
+
+
+# Of a published gear by a servo's numbers: names of the paper, those of laws of the whole load too.
+PAPER = {
+    "base": "coulomb", "stribeck": "stiction", "speed": "stribeck_speed",
+    "alpha": "stribeck_exponent", "motor": "motor_share", "external": "load_share",
+    "motor_stribeck": "stiction_share",
+}  # fmt: skip
+M2_TO_M4 = [(servo, law) for law in LAWS[3:0:-1] for servo, of in published().items() if law in of]
+
+
+@pytest.mark.parametrize("first", some(range(0, len(M2_TO_M4), 3), quick=1, slow=5))
+def test_friction_of_published_gears_is_the_papers(first: int) -> None:
+    """Three gears of models M2 to M4 at a time, as large as the arm: the paper's bound, written
+    anew, as MuJoCo's dry friction."""
+    robot, tracks = arm("3r"), sines(3, 76, 1, seed=first)
+    laws = M2_TO_M4[first : first + 3]
+    gear = gears(laws, np.full(3, 60.0))
+    servos = Servos.neutral(3, kp=500.0, damping=20.0, armature=0.4)
+    for name, own in PAPER.items():
+        servos.joint[:, INDEX[own]] = torch.from_numpy(gear.numbers[name])
+    q = tracks.u[tracks.first]
+    whole, still = windows_of(tracks, None), torch.zeros_like(q)
+    ours = replayed(robot, servos, tracks, whole, q, still, longest_step=5e-4).numpy()
+    theirs = by_mujoco(robot, servos, tracks.u.numpy(), 2e-4, gear)
+    assert np.abs(ours - theirs).max() < 4e-4
+    plain = servos.keeping(("kp", "damping", "armature", "coulomb"))
+    assert np.abs(replayed(robot, plain, tracks, whole, q, still).numpy() - theirs).max() > 3e-3
+
+
+@pytest.mark.parametrize("numbers", [
+    {"coulomb": 0.2}, {"stiction_share": 0.4}, {"stiction_share": 0.3, "stiction": 0.1},
+    {"load_share": 0.1, "motor_share": 0.3}, {"motor_share": 0.3, "stiction_share": 0.2},
+])  # fmt: skip
+@pytest.mark.parametrize("load", [1.0, -1.0])
+def test_a_joint_breaks_away_where_its_law_says(numbers: dict[str, float], load: float) -> None:
+    """A motor's torque m beside one of 1 N m from outside: held where |l + m| <= F(l, m)."""
+    m, kp = torch.linspace(-3, 3, 241, dtype=torch.float64), 10.0
+    servos = Servos.neutral(1, kp=kp, damping=1.0, armature=0.05, **numbers)
+    p = {name: float(servos.of(name)) for name in PAPER.values()}
+    dry = p["coulomb"] + (p["load_share"] * load - p["motor_share"] * m).abs()
+    dry = dry + p["stiction"] + p["stiction_share"] * (load - m).abs()
+    # One motion of some samples for each torque, from rest at 0; the load is a spring's.
+    first = 4 * torch.arange(len(m))
+    tracks = Tracks((m / kp).repeat_interleave(4)[:, None], first, first + 3, DT)
+    spring = {"effect": "joint_spring", "joint": 1, "k": 0.0, "c0": -load}
+    robot = replace(flywheel(), effects=(spring,))
+    still = torch.zeros(len(m), 1, dtype=torch.float64)
+    q = replayed(robot, servos, tracks, windows_of(tracks, None), still, still)
+    certain = ((load + m).abs() - dry).abs() > 1e-6
+    moves = q[tracks.last, 0] != 0
+    assert torch.equal(moves[certain], ((load + m).abs() > dry)[certain])
+    assert 0 < int(moves.sum()) < len(m)
+
+
+@pytest.mark.parametrize("clip", [math.inf, 20.0])
+def test_a_supply_sags_with_the_sum_of_torques(clip: float) -> None:
+    """As of a voltage that each step of MuJoCo lowers by the torques of the step before."""
+    robot, tracks = arm("3r"), sines(3, 76, 1, seed=2)
+    servos = Servos.neutral(3, kp=300.0, kd=2.0, damping=20.0, armature=0.4, clip=clip)
+    servos.joint[:, INDEX["supply"]] = 300.0
+    q = tracks.u[tracks.first]
+    whole, still = windows_of(tracks, None), torch.zeros_like(q)
+    ours = replayed(robot, servos, tracks, whole, q, still, longest_step=5e-4)
+    theirs = torch.from_numpy(by_mujoco(robot, servos, tracks.u.numpy(), 2e-4))
+    assert float((ours - theirs).abs().max()) < 1e-3
+    stiff = replace(servos, joint=servos.joint.clone())
+    stiff.joint[:, INDEX["supply"]] = math.inf
+    assert float((replayed(robot, stiff, tracks, whole, q, still) - theirs).abs().max()) > 0.02
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, -0.5])
+def test_a_limit_of_torque_falls_with_speed_by_what_is_beyond_it(share: float) -> None:
+    """A motor at full voltage: J dv = clip - (1 - share) b v, towards its speed without load."""
+    damping, limit, inertia = 2.0, 3.0, INERTIA + 0.1
+    servos = Servos.neutral(
+        1, kp=50.0, damping=damping, armature=0.1, clip=limit, damping_share=share
+    )
+    tracks = steady(20.0, 1.0)
+    zero = torch.zeros(2, 1, 1).double()
+    q = replayed(flywheel(), servos, tracks, windows_of(tracks, None), *zero, longest_step=1e-3)[
+        :, 0
+    ]
+    t, rate = DT * torch.arange(len(q), dtype=torch.float64), (1 - share) * damping / inertia
+    way = t**2 / 2 if rate == 0 else (t - (1 - (-rate * t).exp()) / rate) / rate
+    assert torch.allclose(q, limit / inertia * way, atol=1e-3)
 
 
 def steady(level: float, seconds: float) -> Tracks:
@@ -405,7 +500,8 @@ def all_kinds(n: int, sets: int, seed: int) -> Servos:
     joint = torch.stack([servos.joint for servos in each])
     kinds = (
         {"dead_zone": 0.01}, {"stiction": 2.0, "stribeck_speed": 0.1}, {"motor_share": 0.2},
-        {"load_share": 0.1}, {"acceleration": 3.0}, {"lag": 0.05}, {"stop_high": 0.3},
+        {"load_share": 0.1, "stiction_share": 0.2, "stribeck_exponent": 1.5},
+        {"acceleration": 3.0}, {"lag": 0.05}, {"stop_high": 0.3},
         {"armature": 5.0, "integral": 0.0},
     )  # fmt: skip
     joint[::3, :, INDEX["armature"]] = 1e-3

@@ -124,7 +124,10 @@ LATE = {"kd": 0.5, "delay": 0.043}
             (LATE | {"integral": 200.0}, 1e-3),
             (LATE | {"stiction": 5.0, "stribeck_speed": 0.1, "motor_share": 0.1}, 4e-3),
             (LATE | {"load_share": 0.2, "offset": 1.0}, 1e-3),
+            (LATE | {"load_share": 0.1, "motor_share": 0.2, "stiction_share": 0.1}, 1e-3),
+            (LATE | {"stiction_share": 0.2, "stribeck_speed": 0.5, "stribeck_exponent": 2}, 1e-3),
             (LATE | {"acceleration": 8.0, "stiction": 5.0, "stribeck_speed": 0.1}, 4e-3),
+            (LATE | {"supply": 200.0, "clip": 60.0}, 1e-3),
             # Steps of held commands against lines through them.
             ({"delay": 0.02}, 2e-3),
             (LATE, 1e-3),
@@ -215,7 +218,14 @@ def test_what_an_effort_does_not_hold_is_said():
     # Without the other joints nobody knows the load.
     drives = ServoTorque(robot, servos, ["joint_3", "joint_1"], dt=0.005)
     assert drives.ignored == ("load_share", "stop_high")
-    servos.joint[:, INDEX["load_share"]] = 0.0
+    servos.joint[:, INDEX["stiction_share"]] = 0.1
+    drives = ServoTorque(robot, servos, ["joint_3", "joint_1"], dt=0.005)
+    assert drives.ignored == ("load_share", "stiction_share", "stop_high")
+    servos.joint[:, [INDEX["load_share"], INDEX["stiction_share"]]] = 0.0
+    servos.joint[:, INDEX["supply"]] = 100.0
+    drives = ServoTorque(robot, servos, ["joint_3", "joint_1"], dt=0.005)
+    assert drives.ignored == ("supply", "stop_high")
+    servos.joint[:, INDEX["supply"]] = torch.inf
     drives = ServoTorque(robot, servos, dt=0.005)
     x, still, quick = torch.zeros(1, 3), torch.zeros(1, 3), torch.ones(1, 3)
     assert float(drives.torque(x, still, quick).abs().max()) == 0

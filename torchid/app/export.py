@@ -19,7 +19,7 @@ from torchid.robot.config_files import names_robot
 
 Simulated = Literal["mjcf", "urdf", "mujoco", "mjlab", "isaaclab", "gazebo"]
 """What a corrected file can be for; the last four read one of the first two."""
-Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
+Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab", "bam"]
 
 
 @command
@@ -54,7 +54,8 @@ def export_command(
         result: JSON of `torchid identify`, `extract` or `gap`, a file of parameter sets, the .yaml
             of `torchid gap --save-model`, or any robot.
         to: Format to write; isaaclab and mjlab are actuator classes that add the effects without a
-            field at run time. Not with --randomise.
+            field at run time, bam the servos' models of better-actuator-models. Not with
+            --randomise.
         robot: Robot of the result, and the file that a copy is edited of; the one that RESULT
             records.
         chosen: Set of a file of several; the feasible one of least loss.

@@ -94,7 +94,7 @@ def gap_command(
             time=asked.seconds(output),
         )  # fmt: skip
     model = None if asked.save_model is None else str(asked.save_model)
-    words = model_words(result.answer, model, trials.robot)
+    words = model_words(result.answer, model, trials.robot, trials.as_log_options)
     # The worst joints of an earlier run may have been others.
     shown = output.keep(
         result, "gap.json", partial(report_of_diagnosis, model=words), seed=settings.seed,

@@ -355,6 +355,13 @@ class ArmAndLogs(Arm, Reading):
         for path in self.logs or ():
             require_header(path, self.request(None))
 
+    @property
+    def as_log_options(self) -> str:
+        """The logs, and how they are read, for a command that takes them as options."""
+        names = {"log": self.logs or (), "columns": [self.columns], "topic": [self.topic]}
+        each = [(f"--{name}", str(x)) for name, some in names.items() for x in some if x]
+        return shlex.join([word for pair in each for word in pair])
+
     @contextmanager
     def line_to_mend(
         self, logs: Sequence[Path] | None = None, before: Sequence[Path] | None = None

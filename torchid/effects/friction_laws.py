@@ -179,6 +179,44 @@ class LoadDependentFriction(JointEffect):
 
 
 @dataclass(frozen=True)
+class LoadDependentStribeck(StribeckFriction):
+    """Friction in excess at low speed that grows with the torque the joint transmits:
+    mus |tau| exp(-|dq/vs|^d) sgn dq; the torque is the model's."""
+
+    name = "load_dependent_stribeck"
+    usual = False
+    detail = "falls at low speed under load"
+    needs = frozenset({"torque"})
+    coefficients = (
+        Coefficient("mus", "1", True, "breakaway friction per transmitted torque", 1.0),
+    )
+    servo = ("stiction_share", "stribeck_speed")
+    gloss = "more friction at low speed under load"
+    meaning = "Tooth forces press the lubricant out at low speed, so friction rises with the load."
+    equation = "mus |tau| exp(-|dq/vs|^d) sgn(dq)"
+    signature = "friction in excess at low speed, more where the joint carries more"
+    experiment = "run slowly and fast with two payloads, or in two postures"
+    remedy = "Use friction that falls with speed and grows with load, or keep clear of low speeds."
+    source = (
+        "Duclusaud, Passault, Padois and Ly 2025, Extended friction models for the physics "
+        "simulation of servo actuators (ICRA), model M4; of servos the load is what the gear "
+        "transmits, the motor's torque less the external one"
+    )
+    example = Example((0.1,), "speed")
+
+    @classmethod
+    def formula(cls, motion: Motion, *shapes: Tensor) -> Columns:
+        """The same times |torque of the model|."""
+        load = motion.require("torque", cls.name).abs()
+        return load.unsqueeze(-1) * super().formula(motion, *shapes)
+
+    def c_code(self, values: Sequence[float]) -> list[str]:
+        """The equation as C."""
+        (plain,) = super().c_code(values)
+        return [plain.replace(";", f" * fabs(loaded[{self.joint}]);")]
+
+
+@dataclass(frozen=True)
 class AsymmetricFriction(JointEffect):
     """Friction that differs between the directions: dF |sgn dq| + dFv |dq|.
 

@@ -6,13 +6,14 @@ from torchid.errors import TorchidError
 
 NAMES = (
     "viscous_friction", "power_law_friction", "coulomb_friction", "stribeck_friction",
-    "load_dependent_friction", "bearing_moment_friction", "axial_load_friction", "torque_offset",
-    "asymmetric_friction", "joint_spring", "rotor_inertia", "presliding_hysteresis",
-    "load_hysteresis", "cogging", "motor_ripple", "position_dependent_friction",
-    "thermal_friction_drift", "gear_coupling", "base_tilt", "torque_gain", "torque_crosstalk",
-    "encoder_offset", "kinematic_error", "payload", "link_inertia", "inertia_reference_point",
-    "inertia_scale", "mirrored_link", "time_delay", "filter_lag", "joint_elasticity", "backlash",
-    "saturation", "drive_saturation", "end_stop", "plane_contact", "contact", "dropped_samples",
+    "load_dependent_friction", "load_dependent_stribeck", "bearing_moment_friction",
+    "axial_load_friction", "torque_offset", "asymmetric_friction", "joint_spring",
+    "rotor_inertia", "presliding_hysteresis", "load_hysteresis", "cogging", "motor_ripple",
+    "position_dependent_friction", "thermal_friction_drift", "gear_coupling", "base_tilt",
+    "torque_gain", "torque_crosstalk", "encoder_offset", "kinematic_error", "payload",
+    "link_inertia", "inertia_reference_point", "inertia_scale", "mirrored_link", "time_delay",
+    "filter_lag", "joint_elasticity", "backlash", "saturation", "drive_saturation", "end_stop",
+    "plane_contact", "contact", "dropped_samples",
 )  # fmt: skip
 """In the order of the registry."""
 EXCITED_EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")

@@ -46,6 +46,7 @@ class ServoParameter:
         usual: size that servos have, of torques as a share of kp; None of what acts only beyond a
             limit: a log that does not come there says nothing of it.
         sizes: (V, n) values to try of what has no slope where it does not act; else None.
+        shape: whether it acts only beside another number, maybe of several effects.
     """
 
     name: str
@@ -60,6 +61,7 @@ class ServoParameter:
     of_type: bool = True
     usual: float | None = None
     sizes: Callable[[ServoMotion], Float[Tensor, "V n"]] | None = None
+    shape: bool = False
 
     @property
     def difference(self) -> float:
@@ -98,6 +100,11 @@ def _clips(m: ServoMotion) -> Float[Tensor, "V n"]:
     """Limits that are tried first: shares of the torque that the largest position errors would
     make, which of stiff servos is many times their limit."""
     return _shares(0.04, 0.1, 0.2, 0.4, 0.6, 0.8) * (m.u - m.q).abs().quantile(0.999, 0) * m.kp
+
+
+def _supplies(m: ServoMotion) -> Float[Tensor, "V n"]:
+    total = ((m.u - m.q).abs() * m.kp).sum(1).quantile(0.99)
+    return _shares(1.0, 3.0, 10.0) * total.expand(len(m.kp))
 
 
 def _speeds(m: ServoMotion) -> Float[Tensor, "V n"]:
@@ -155,7 +162,7 @@ PARAMETERS = (
     ),
     ServoParameter(
         "stribeck_speed", "rad/s", "where stiction fades", 1.0, 0.08,
-        words=("speed at which stiction fades", "lower", "higher"),
+        words=("speed at which stiction fades", "lower", "higher"), shape=True,
     ),
     ServoParameter(
         "motor_share", "1", "friction per motor torque", 0.0, 0.1, "positive",
@@ -202,6 +209,17 @@ PARAMETERS = (
         usual=0.05, sizes=_scales,
     ),
     ServoParameter(
+        "stiction_share", "1", "more friction at rest per torque through the gear", 0.0, 0.1,
+        "positive", words=("extra friction share at rest", "smaller", "larger"), prior=0.3,
+        usual=0.1,
+    ),
+    ServoParameter(
+        "supply", "N m", "sum of all torques over the share of its voltage that they take", _INF,
+        50.0, words=("stiffness of the supply", "lower", "higher"), of_type=False,
+        sizes=_supplies,
+    ),
+    ServoParameter("stribeck_exponent", "1", "of the speed that stiction fades with", 1.0, 1.0),
+    ServoParameter(
         "damping_share", "1", "of the damping, within the clip", 0.0, 0.0, "real", of_type=False
     ),
 )  # fmt: skip
@@ -235,6 +253,7 @@ class ServoEffect:
         twin: a cause that is not looked for, because no log of commands and positions separates it
             from this one.
         twin_below: whether that is so only where the first parameter is below its neutral value.
+        shared: whether it is of all joints, or of none.
     """
 
     name: str
@@ -247,6 +266,7 @@ class ServoEffect:
     twin: str = ""
     twin_below: bool = False
     gloss: str = ""
+    shared: bool = False
 
     @staticmethod
     def logs() -> tuple[str, ...]:
@@ -318,6 +338,14 @@ _EVERY = (
         "saturation", "servo", ("clip",),
         "The servo's torque is limited.", "Clip the actuator's force.",
         "|torque| <= clip", "send large steps against gravity",
+    ),
+    ServoEffect(
+        "supply_sag", "servo", ("supply",),
+        "All servos share a supply, whose voltage falls with the sum of their torques.",
+        "Multiply torques and their limits by the share of the voltage that is left.",
+        "f clip(kp e), f = 1 - sum of |torques| / supply = 1 / (1 + sum of |clip(kp e)| / supply)",
+        "hold loaded postures with one joint, then with all at once",
+        gloss="the voltage falls under load", shared=True,
     ),
     ServoEffect(
         "dead_zone", "servo", ("dead_zone",),

@@ -23,6 +23,7 @@ from torchid.export.results import Exportable, dynamics_of
 from torchid.export.servo_mjcf import ANCHOR, JOINTS, said_in_mjcf, unsaid_parameters
 from torchid.export.set_points import followed
 from torchid.export.write_actuator import Package, write_actuator
+from torchid.export.write_bam import SAID, write_bam
 from torchid.export.write_plain import write_c, write_yaml
 from torchid.export.write_xml import write_xml
 from torchid.feasibility.plausibility import LEAD, by_percent
@@ -39,8 +40,8 @@ from torchid.robot.origin import of_own_file
 from torchid.simulators.joint_dynamics import Target
 from torchid.simulators.servo import AS_EFFORT
 
-Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab"]
-SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "c": ".c"}
+Format = Literal["urdf", "mjcf", "yaml", "c", "isaaclab", "mjlab", "bam"]
+SUFFIXES = {"urdf": ".urdf", "mjcf": ".xml", "yaml": ".yaml", "c": ".c", "bam": "_bam.json"}
 SUFFIXES |= {to: f"_actuator_{to}.py" for to in get_args(Package)}
 _SET_POINTS = (
     "set points of servos are joints of the file (torchid_set_point_*): commands are its first "
@@ -133,7 +134,8 @@ def export_dynamics(
         to: format. All but c and actuators need
             physical parameters: of base parameters those nearest to the robot's own that have
             exactly them, or, where no bodies do, the nearest bodies that nearly do. isaaclab and
-            mjlab are actuator classes that add the effects at run time.
+            mjlab are actuator classes that add the effects at run time, bam the servos' models of
+            better-actuator-models.
         folder: made if need be.
         name: of the file, without suffix; the robot's own by default.
         nominal: the robot that the result belongs to, with its own parameters.
@@ -184,7 +186,7 @@ def export_dynamics(
     )
     found, written = None, dynamics.robot
     # C and actuators hold no bodies of base parameters.
-    if to not in get_args(Package) and (dynamics.base is None or to != "c"):
+    if to not in (*get_args(Package), "bam") and (dynamics.base is None or to != "c"):
         dynamics, written, found = _bodies(dynamics, nominal, geometry, force)
     folder.mkdir(parents=True, exist_ok=True)
     motion = random_states(dynamics.robot, seed)
@@ -194,6 +196,8 @@ def export_dynamics(
         draft, comparisons = write_c(dynamics, path, motion)
     elif to == "isaaclab" or to == "mjlab":
         draft, comparisons = write_actuator(dynamics, to, folder, name, motion)
+    elif to == "bam":
+        draft, comparisons = write_bam(dynamics.arm, folder, name)
     else:
         titled = replace(dynamics, title="; ".join((dynamics.title, *_of_servos(dynamics, to))))
         draft, comparisons = write_xml(titled, written, path, edited, motion, to, ratios)
@@ -253,7 +257,8 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
         return ()
     servos = dynamics.arm.servos
     words = (_SET_POINTS,) * (dynamics.set_points and bool(followed(servos).any()))
-    said = servos.keeping(AS_EFFORT if to in get_args(Package) else JOINTS)
+    kept = {"bam": SAID, **dict.fromkeys(get_args(Package), AS_EFFORT)}
+    said = servos.keeping(kept.get(to, JOINTS))
     if to == "mjcf":
         said = said_in_mjcf(servos, set_points=dynamics.set_points)
     unsaid = unsaid_parameters(servos, said)
@@ -265,7 +270,7 @@ def _of_servos(dynamics: Dynamics, to: Format) -> tuple[str, ...]:
     hint = ""
     if to == "mjcf":
         hint = "; torchid.simulators.servo makes them at run time, and `log=...` refits the others"
-    elif to not in get_args(Package):
+    elif to not in kept:
         hint = '; `to="mjcf"` says gains, delays, clips and stops, too'
     return (f"of the servos {', '.join(unsaid)} are not in it{hint}", *words)
 

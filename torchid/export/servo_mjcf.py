@@ -178,6 +178,9 @@ def write_servos(
         # What the servo can is fitted; a limit of the nominal robot would come before it.
         nodes[name].attrib.pop("actuatorfrcrange", None)
         nodes[name].attrib.update({"actuatorfrclimited": "false", "actuatorgravcomp": "false"})
+        if j in moving and "forcerange" in own and values["damping_share"] * values["damping"]:
+            whole = {"actuatorfrclimited": "true", "actuatorfrcrange": own["forcerange"]}
+            nodes[name].attrib.update(whole)
         ends = [values[stop] for stop in STOPS]
         if any(map(math.isfinite, ends)):
             turn = robot.joint_types[j] is JointType.REVOLUTE and degrees

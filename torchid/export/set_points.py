@@ -26,7 +26,7 @@ import torch
 from torchid.digits import number
 from torchid.export.xml_tree import child_or_new, children, local, new_child, text
 from torchid.robot.model import JointType
-from torchid.robot.spec import SET_POINT
+from torchid.robot.spec import INSIDE, SERVO, SET_POINT
 from torchid.simulation.servo import Servos
 from torchid.typing import Bool, Float
 
@@ -38,7 +38,6 @@ _WAYS = (0.01, 0.03, 0.1, 0.3, 1.0)
 """That braking takes from the speeds at which straight pieces end [rad; m]."""
 _STIFF = 2.0
 """Root of K times the first slope, at which a set point is damped critically near its goal [1]."""
-_SERVO = "torchid_servo_"
 _DYNAMICS = ("dyntype", "dynprm", "actdim", "gaintype", "input")
 _NONE = {"dyntype": "none", "gaintype": "fixed", "gear": "1 0 0 0 0 0"}
 _FREE = {"free": 7, "ball": 4}
@@ -83,14 +82,16 @@ def write_set_point(
     servo = {k: v for k, v in own.items() if k not in late}
     offset, kp, kd = (values[k] for k in ("offset", "kp", "kd"))
     follows = new_child(actuators, "general")
-    follows.attrib.update({"name": f"{_SERVO}{joint}", "tendon": name} | servo)
+    follows.attrib.update({"name": f"{SERVO}{joint}", "tendon": name} | servo)
     follows.attrib.update(_affine(0.0, offset, -kp, -kd))
     if behind:  # the servo's own command is 0, as its length is that less than the set point
         follows.attrib.update({k: behind[k] for k in _DYNAMICS if k in behind})
         follows.set("gainprm", text([values["integral"], 0.0, 0.0]))
         follows.set("dynprm", text([most_sum(values), 0.0]))
     if inside := values["damping_share"] * values["damping"]:
-        alone = {"name": f"{_SERVO}{joint}_damping", "joint": joint, "forcelimited": "false"}
+        # What holds the sum of the two is the joint's.
+        follows.set("forcelimited", "false")
+        alone = {"name": f"{SERVO}{joint}{INSIDE}", "joint": joint, "forcelimited": "false"}
         new_child(actuators, "general").attrib.update(
             servo | alone | _affine(0.0, 0.0, 0.0, -inside)
         )
@@ -172,7 +173,7 @@ def remove_set_points(root: Any) -> None:
     """Take those of an earlier export out of a file: they are not this arm's."""
     for node in list(root.iter("{*}body", "{*}fixed", "{*}general")):
         name = node.get("name", "")
-        if local(node) == "general" and name.startswith(_SERVO):
+        if local(node) == "general" and name.startswith(SERVO):
             node.getparent().remove(node)
         elif local(node) == "general" and node.get("joint", "").startswith(SET_POINT):
             node.set("joint", node.get("joint").removeprefix(SET_POINT))

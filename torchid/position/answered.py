@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import PLANE
+from torchid.effects.servo import PLANE, ServoEffect
 from torchid.parallel.pace import Pace
+from torchid.position.data import Usual
 from torchid.position.effects import BY_NAME, EFFECTS, GAINS, GRAVITY, KEPT, PAYLOAD
 from torchid.position.evidence import LeastFall
 from torchid.position.file_servos import Worth, beside_file, weighing_otherwise
@@ -19,9 +20,8 @@ from torchid.position.record import error_words
 from torchid.position.search import (
     PROFILE_STAGE,
     STAGED,
+    WORST,
     Rivals,
-    SingleEffects,
-    best_single_effect_per_joint,
     full,
     plain,
     settled,
@@ -29,9 +29,8 @@ from torchid.position.search import (
 )
 from torchid.position.servo_model import Motions, ServoModel, better_in_sum, mostly_better
 from torchid.results.answer import Answer
-from torchid.results.cause import Cause
 from torchid.robot.model import error_unit
-from torchid.statistics.criteria import ALIKE_LOSS, SET_MASS, WORTHWHILE
+from torchid.statistics.criteria import ALIKE_LOSS, SET_MASS
 from torchid.typing import Bool, Float
 
 SEVERAL = {
@@ -80,35 +79,15 @@ class Answered:
         return tuple(out)
 
 
-class EarlyAnswer:
+def undecided(motions: Motions, first: ServoModel, of_file: bool) -> Answer:
     """What is known while the search goes on: the errors of the file's servos, or of plain ones, in
-    some windows, and of the effects that were tried the one that removes most of each joint's."""
-
-    def __init__(
-        self, watch: Callable[[Answer], None], motions: Motions, first: ServoModel, of_file: bool
-    ) -> None:
-        self.watch, self.motions, self.words = watch, motions, error_words(of_file)
-        self.robot = motions.data.robot
-        self.before = self.after = self._errors(first.losses(motions))
-        self.best = [""] * self.robot.n
-        self._show()
-
-    def _errors(self, losses: Tensor) -> Tensor:
-        return 1e3 * (losses / self.motions.windows.rows).sqrt() / self.motions.data.scale
-
-    def __call__(self, effect: str, losses: Tensor) -> None:
-        """An effect beside the plain servos, and the losses that it leaves."""
-        errors = self._errors(losses)
-        for j in torch.nonzero(errors < (1 - WORTHWHILE) * self.after).flatten().tolist():
-            self.best[j] = effect
-        self.after = torch.minimum(self.after, errors)
-        self._show()
-
-    def _show(self) -> None:
-        whole = float(self.before.mean()), float(self.after.mean())
-        joints = zip(self.robot.joint_names, self.before.tolist(), self.after.tolist(), strict=True)
-        causes = (Cause(effect=name, joints=(j,)) for j, name in enumerate(self.best) if name)
-        self.watch(Answer.so_far(self.words, error_unit(self.robot), whole, joints, causes))
+    some windows. An effect that was tried is no cause before it is decided."""
+    data = motions.data
+    errors = 1e3 * (first.losses(motions) / motions.windows.rows).sqrt() / data.scale
+    joints, whole = errors.tolist(), float(errors.mean())
+    each = zip(data.robot.joint_names, joints, joints, strict=True)
+    words = error_words(of_file), error_unit(data.robot)
+    return Answer.so_far(*words, (whole, whole), each, ())
 
 
 def as_the_file(problem: Problem) -> Answered | None:
@@ -118,7 +97,7 @@ def as_the_file(problem: Problem) -> Answered | None:
     if file is None:
         return None
     if bool((file.near | problem.data.still).all()):
-        return Answered(file.motions, file.model, {}, {})
+        return Answered(file.motions, file.model, _of_doubted_gains(problem), {})
     if not problem.data.weighed or not bool(problem.data.robot.gravity.any()):
         return None
     other = problem.followed(replace(problem.few, data=weighing_otherwise(problem.data)))
@@ -133,43 +112,27 @@ def best_answer(
 ) -> Answered:
     """What the search finds in few windows and each effect is worth there, fitted to more.
 
-    Where one number a joint explains what a file's servos lack, nothing else is looked for; else
-    these are begun with where they are nearer than plain ones. What there is no time for is left
-    out.
+    Where a file's servos with other numbers explain what it lacks, nothing else is looked for; else
+    a search begins with them where they are nearer than plain ones. What there is no time for is
+    left out.
     """
     pace = pace or Pace(None, {})
-    pace("one effect at a time")
     given, problem = problem, _weighing_as_log(problem)
-    few, squares = problem.few, problem.squares
-    begun, single, file = problem.simple, None, problem.file
-    first = problem.plain if file is None else file.model
-    early = None if watch is None else EarlyAnswer(watch, few, first, file is not None)
-    others_than_core = "effects beside gains, friction and delay", "one effect at a time"
+    few, squares, file = problem.few, problem.squares, problem.file
+    if watch is not None:
+        watch(undecided(few, problem.plain if file is None else file.model, file is not None))
+    begun = problem.simple
     if file is not None:
-        single = SingleEffects(file.model, ~few.every, {})
-        if pace.has_time(*others_than_core):
-            single = _beside_file_servos(few, file.model, problem.simple.free, early)
-        before, after = (m.losses(few) for m in (begun, single.model))
-        begun = single.model.joined(begun, before <= after)
-    loaded, others = None, tuple[str, ...]()
-    if single is None or not bool((single.explained | problem.data.still).all()):
-        single = SingleEffects(begun, ~few.every, {})
-        if pace.has_time(*others_than_core):
-            single = best_single_effect_per_joint(few, begun, early)
-        if file is None:
-            pace("a load")
-            if pace.has_time("a load", "a load"):
-                loaded, single, others = _or_a_load(few, begun, single)
-        whole = bool(single.explained.all())
-        if not whole and pace.has_time("several effects on one joint", *SEVERAL):
-            several = full(few, pace)
-            several = _no_worse(few, begun, several)
-            several = _no_worse(few, single.model, several)
-            single = replace(single, model=with_usual_effects(few, several))
-            loaded = with_load(few, single.model) if file is None else None
+        numbers = _refitted(few, file.model, begun.free)
+        begun = numbers.joined(begun, begun.losses(few) <= numbers.losses(few))
+    found, loaded, few_left = begun, None, begun.losses(few) <= few.slight
+    effects = "effects beside gains, friction and delay"
+    if not bool((few_left | problem.data.still).all()) and pace.has_time(effects, *SEVERAL):
+        several = full(few, pace, None if file is None else begun)
+        found = with_usual_effects(few, _no_worse(few, begun, several))
+        loaded = with_load(few, found) if file is None else None
     pace("what each effect is worth")
-    motions, model = few, settled(few, single.model)
-    worth, rivals = Worth(), Rivals()
+    motions, model, worth = few, settled(few, found), Worth()
     if problem is not given:
         worth[GRAVITY.name] = (
             given.few.losses(given.simple.servos),
@@ -178,13 +141,18 @@ def best_answer(
     if loaded is not None:
         losses = (few.losses(model.servos), loaded.motions.losses(loaded.model.servos))
         gain = few.each((losses[0] - losses[1]).sum(1, keepdim=True))
-        if float(gain.sum()) > squares * float(losses[0].sum()) and bool(mostly_better(gain)):
-            worth[PAYLOAD.name], rivals[PAYLOAD.name, None] = losses, others
+        least = LeastFall.beside(loaded.motions, loaded.model.servos)
+        told = float(least.told(model.losses(few)).sum())
+        likely = told > _paid(least, [(PAYLOAD.name, None)]) and bool(mostly_better(gain))
+        if likely and float(gain.sum()) > squares * float(losses[0].sum()):
+            worth[PAYLOAD.name] = losses
             motions, model = loaded.motions, settled(loaded.motions, loaded.model)
-    rivals |= {at: names for at, names in single.rivals.items() if bool(single.explained[at[1]])}
     loaded = loaded if PAYLOAD.name in worth else None
-    answered = _with_needed(problem, Answered(motions, model, worth, rivals, loaded))
-    if file is None or not few.data.weighed or not pace.has_time("a load", "a load"):
+    answered = _with_needed(problem, Answered(motions, model, worth, Rivals(), loaded))
+    anchored = ~(problem.doubted | problem.data.still)  # by a gain that is known
+    if file is None or not few.data.weighed or not bool(anchored.any()):
+        return answered
+    if not pace.has_time("a load", "a load"):
         return answered
     pace("a load")
     return _or_a_load_beside_file(problem, answered)
@@ -200,18 +168,29 @@ def _with_needed(problem: Problem, found: Answered) -> Answered:
     answered = replace(found, model=model, worth=found.worth | worth, rivals=searched)
     if file is None:
         return answered
-    servos = file.model.servos
-    model, by_file, worth, alike = beside_file(motions, model, servos, squares, answered.worth)
+    servos, doubted = file.model.servos, problem.doubted
+    begun = answered.worth | _of_doubted_gains(problem)
+    model, by_file, worth, alike = beside_file(motions, model, servos, squares, begun, doubted)
     rivals = searched | {at: searched.get(at, ()) + gain for at, gain in alike.items()}
     # What follows no better than the file's servos is no reason for others.
     least = LeastFall.beside(motions, model.servos)
-    near = file.model.losses(motions) - least.left < least.of(1)
+    near = (file.model.losses(motions) - least.left < least.of(1)) & ~doubted
     model, by_file = model.joined(file.model, near), by_file | near
     for name in worth.keys() - {GRAVITY.name, PAYLOAD.name}:
         if BY_NAME[name].parameters:
             worth[name] = worth[name][0].masked_fill(near, torch.nan), worth[name][1]
     worth = {name: losses for name, losses in worth.items() if bool(losses[0].isfinite().any())}
     return replace(answered, model=model, worth=worth, rivals=rivals, by_file=by_file)
+
+
+def _of_doubted_gains(problem: Problem) -> Worth:
+    """Of gains that contradict all else that is known: what the file's servos leave as they are,
+    and with the gains that all else says."""
+    if problem.file is None or problem.given is None or not bool(problem.doubted.any()):
+        return {}
+    motions = problem.file.motions
+    without, with_it = (motions.losses(x) for x in (problem.given, problem.file.model.servos))
+    return {GAINS[0].name: (without.masked_fill(~problem.doubted, torch.nan), with_it)}
 
 
 def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:
@@ -230,8 +209,7 @@ def _or_a_load_beside_file(problem: Problem, answered: Answered) -> Answered:
     if load is None:
         return answered
     free = {**load.model.free, **problem.simple.free}
-    heavy = _beside_file_servos(load.motions, load.model, free, None).model
-    heavy = settled(load.motions, heavy)
+    heavy = settled(load.motions, _refitted(load.motions, load.model, free))
     # What the servos named beside it leave without it.
     held = {name: on for name, on in heavy.free.items() if name not in ANCHORS}
     bare = replace(heavy, free=held).fitted(few, 8)
@@ -305,47 +283,9 @@ def _weighing_as_log(problem: Problem) -> Problem:
     return other if min(map(float, falls)) > math.log(ALIKE_LOSS) else problem
 
 
-def _beside_file_servos(
-    few: Motions, file: ServoModel, free: Mapping[str, Tensor], early: EarlyAnswer | None
-) -> SingleEffects:
-    """One number a joint beside what a file's servos have, and gains and what else is free
-    refitted."""
-    # How late commands come within a sample is no cause.
-    fixed = replace(file, free={"delay": few.every})
-    effects = (*GAINS, *(effect for effect in EFFECTS if effect.parameters))
-    single = best_single_effect_per_joint(few, fixed, early, effects).model
-    freed = replace(single, free={**free, **single.free})
-    model = freed.fitted(few, 8, plane=True)
-    # What came as near before the gains were refitted is no rival yet.
-    return SingleEffects(model, model.losses(few) <= few.slight, {})
-
-
-def _or_a_load(
-    few: Motions, simple: ServoModel, single: SingleEffects
-) -> tuple[Loaded | None, SingleEffects, tuple[str, ...]]:
-    """A load with single effects beside it, where that explains the motions better than single
-    effects alone; and names of what explains them as well."""
-    enough = bool((simple.losses(few) <= few.slight).all())
-    load = None if enough else with_load(few, simple)
-    if load is None:
-        return None, single, ()
-    # One cause of what all joints show, where no more is needed, comes before several.
-    heavy = best_single_effect_per_joint(load.motions, load.model)
-    with_it = float(heavy.model.losses(load.motions).sum())
-    without = float(single.model.losses(few).sum())
-    # Of two complete explanations the one of fewer causes counts, then the nearer one.
-    causes, complete = 1 + heavy.model.causes, bool(single.explained.all())
-    fewer = causes < single.model.causes
-    as_few = causes == single.model.causes and with_it < without
-    if not bool(heavy.explained.all()) or not (fewer or as_few or not complete):
-        return None, single, ()
-    others = tuple[str, ...]()
-    if complete and without < ALIKE_LOSS * with_it:
-        present = (e for e in EFFECTS if bool(single.model.where(e).any()))
-        others = tuple(e.name for e in present if e not in KEPT)
-    # The servos without the load stay those that it is held against.
-    explained = replace(heavy, model=single.model)
-    return replace(load, model=heavy.model), explained, others
+def _refitted(few: Motions, file: ServoModel, free: Mapping[str, Tensor]) -> ServoModel:
+    """The numbers that a file's servos have, and what else is free, refitted."""
+    return replace(file, free={**file.free, **free}).fitted(few, 12, plane=True)
 
 
 def _no_worse(motions: Motions, simple: ServoModel, model: ServoModel) -> ServoModel:
@@ -361,65 +301,97 @@ def needed_effects(
     motions: Motions, model: ServoModel, squares: float
 ) -> tuple[ServoModel, Worth, Rivals]:
     """A model of the effects without which motion after motion is followed worse, all others
-    refitted; losses without each and with it; and what stands for it as well."""
-    whole, n = motions.losses(model.servos), model.servos.n
+    refitted; losses without each and with it; and what stands for it as well.
+
+    Each effect is left out alone, which says what it takes away beside all others. Of a model with
+    none of them the largest returns to each joint that loses by that, and the next one, until none
+    does: what stands for another then has no reason to come.
+    """
+    whole = motions.losses(model.servos)
     least, usual = LeastFall.beside(motions, model.servos), motions.data.usual
-    without: dict[str, Float[Tensor, "W n"]] = {}
-    needed: dict[str, Bool[Tensor, " n"]] = {}
-    for effect in EFFECTS:
+    present = {e.name: e for e in EFFECTS if bool(model.where(e).any())}
+    sought = {name: e for name, e in present.items() if e not in KEPT}
+    rise = {
+        name: _without(motions, model, e, 4).sum(0) - whole.sum(0) for name, e in sought.items()
+    }
+    waiting = [
+        sorted((n for n, e in sought.items() if model.where(e)[j]), key=lambda n: float(rise[n][j]))
+        for j in range(model.servos.n)
+    ]
+    chosen = {name: model.where(e) & (e in KEPT) for name, e in present.items()}
+    stands = set[tuple[str, int]]()
+    while True:
+        lean = _with_only(model, chosen, usual).fitted(motions, 8, plane=True)
+        left = motions.losses(lean.servos).sum(0)
+        fall = left - whole.sum(0)
+        lost = (fall > squares * left) & (fall > least.of(1))
+        # The joints that are worst first: what others lose may be these joints' doing.
+        excess = torch.where(lost, fall / least.of(1), 0.0)
+        lost &= excess >= WORST * excess.amax()
+        back = [(waiting[j].pop(), j) for j in lost.nonzero().flatten().tolist() if waiting[j]]
+        if not back:
+            break
+        for name, j in back:
+            if rise[name][j] <= least.of(1)[j]:
+                stands.add((name, j))
+            if sought[name].parameters:
+                chosen[name][j] = True
+                continue
+            chosen[name] = motions.every
+            waiting = [[x for x in names if x != name] for names in waiting]
+    rivals: Rivals = {(name, j): tuple(waiting[j]) for name, j in stands if waiting[j]}
+    return lean, _worth_of(motions, lean, present.values(), squares), rivals
+
+
+def _worth_of(
+    motions: Motions, model: ServoModel, effects: Collection[ServoEffect], squares: float
+) -> Worth:
+    """Losses without each effect that is worth a name, and with it."""
+    whole, least, out = (
+        motions.losses(model.servos),
+        LeastFall.beside(motions, model.servos),
+        Worth(),
+    )
+    for effect in effects:
         has = model.where(effect)
         if not bool(has.any()):
             continue
-        less = model.without(effect, has, usual).fitted(motions, 8)
-        losses = motions.losses(less.servos)
-        # A joint loses no more than where it alone lacks the effect, and nothing gives way.
-        for j in has.nonzero().flatten().tolist() if effect.parameters else ():
-            alone = motions.losses(model.without(effect, torch.arange(n) == j, usual).servos)[:, j]
-            if float(alone.sum()) < float(losses[:, j].sum()):
-                losses[:, j] = alone
+        losses = _without(motions, model, effect, 8)
         gain, total = motions.each(losses - whole), losses.sum(0)
         call = least.of(len(effect.parameters or PLANE))
         if not effect.parameters:  # a plane is there for all joints or for none
-            gain, total = gain.sum(1, keepdim=True).expand(-1, n), total.sum().expand(n)
-            call = call.sum().expand(n)
+            gain, total = gain.sum(1, keepdim=True).expand_as(gain), total.sum().expand_as(total)
+            call = call.sum().expand_as(call)
         often = better_in_sum(gain) if effect.family == "world" else mostly_better(gain)
         keep = has & (gain.sum(0) > squares * total) & (gain.sum(0) > call) & often
         if effect in KEPT:
-            keep &= model.beyond(effect, usual)
-        without[effect.name], needed[effect.name] = losses, keep
-    lean = model
-    for name, keep in needed.items():
-        needless = model.where(BY_NAME[name]) & ~keep
-        # Delay and offset are numbers of any servo: they stay, unnamed.
-        if BY_NAME[name] not in KEPT and bool(needless.any()):
-            lean = lean.without(BY_NAME[name], needless, usual)
-    lean, rivals = lean.fitted(motions, 2), Rivals()
-    left_by_lean = motions.losses(lean.servos)
-    fall = (left_by_lean - whole).sum(0)
-    lost = (fall > squares * left_by_lean.sum(0)) & (fall > least.of(1))
-    # Effects that stood for each other: one of them returns, with the others' names.
-    for j in torch.nonzero(lost).flatten().tolist():
-        alike = [
-            name
-            for name, keep in needed.items()
-            if BY_NAME[name] not in KEPT and bool(model.where(BY_NAME[name])[j] & ~keep[j])
-        ]
-        if not alike:
-            continue
-        first = max(alike, key=lambda name: float(without[name][:, j].sum()))
-        rivals[first, j] = tuple(name for name in alike if name != first)
-        here = torch.arange(n) == j
-        if not BY_NAME[first].parameters:
-            lean = replace(lean, servos=replace(lean.servos, plane=model.servos.plane.clone()))
-            lean, here = replace(lean, plane=model.plane), torch.ones_like(here)
-        lean = lean.joined(model, here & (torch.arange(n) == j), BY_NAME[first].parameters)
-        needed[first] = needed[first] | here
-        without[first] = torch.where(here, left_by_lean, without[first])
-    if rivals or bool(lost.any()):
-        lean = lean.fitted(motions, 2)
-    worth = {
-        name: (torch.where(needed[name], losses, torch.nan), whole)
-        for name, losses in without.items()
-        if bool(needed[name].any())
-    }
-    return lean, worth, rivals
+            keep &= model.beyond(effect, motions.data.usual)
+        if bool(keep.any()):
+            out[effect.name] = torch.where(keep, losses, torch.nan), whole
+    return out
+
+
+def _without(
+    motions: Motions, model: ServoModel, effect: ServoEffect, iterations: int
+) -> Float[Tensor, "W n"]:
+    """Losses of windows without an effect, all else refitted."""
+    has, usual = model.where(effect), motions.data.usual
+    losses = motions.losses(model.without(effect, has, usual).fitted(motions, iterations).servos)
+    # A joint loses no more than where it alone lacks the effect, and nothing gives way.
+    for j in has.nonzero().flatten().tolist() if effect.parameters else ():
+        here = torch.arange(len(has)) == j
+        own = motions.losses(model.without(effect, here, usual).servos)[:, j]
+        if float(own.sum()) < float(losses[:, j].sum()):
+            losses[:, j] = own
+    return losses
+
+
+def _with_only(
+    model: ServoModel, chosen: Mapping[str, Bool[Tensor, " n"]], usual: Usual
+) -> ServoModel:
+    """A model with chosen effects alone."""
+    for name, on in chosen.items():
+        gone = model.where(BY_NAME[name]) & ~on
+        if bool(gone.any()):
+            model = model.without(BY_NAME[name], gone, usual)
+    return model

@@ -77,8 +77,8 @@ def check(answered: Answered, problem: Problem, known: Equations) -> Checked:
         (data, _without_folds(data, problem.plain, None, problem)),
         (own, _without_folds(own, answered.model, known, problem) if by_log else known.servos),
     ]
-    if problem.file is not None:
-        models.append((data, problem.file.model.servos))
+    if problem.given is not None:
+        models.append((data, problem.given))
     held_out = [_errors(*each) for each in models]
     commanded = (data.tracks.u - data.q) / data.scale
     ways = [

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -26,6 +27,9 @@ from torchid.simulation.servo_loop import Body, Tracks, Windows, body_near, comp
 from torchid.statistics.criteria import BODY_STD, SLIGHT_ERROR
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float, Tensor
+
+if TYPE_CHECKING:
+    from torchid.position.in_mujoco import Beside
 
 UNEVEN_RATE = 0.02
 """Share by which a rate may miss a multiple of `RATE` and count as one [1]."""
@@ -82,6 +86,8 @@ class PositionData:
         strength: (n,) torques of each joint beside those of a small servo, where a fit starts [1].
         link: whose points may touch a plane, counted from 0.
         damping_share: (n,) of servos that are sought: how much of the damping their clip limits.
+        beside: where the robot's file goes in its own simulator beside where its servos go in our
+            kernel; None where no simulator is asked.
         set_points: those found last, beside the profiles that they are of.
     """
 
@@ -97,6 +103,7 @@ class PositionData:
     strength: Float[Tensor, " n"]
     link: int
     damping_share: Float[Tensor, " n"]
+    beside: "Beside | None" = None
     set_points: dict[bool, tuple[Tensor, Tensor]] = field(default_factory=dict, repr=False)
 
     @property

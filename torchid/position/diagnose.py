@@ -22,10 +22,11 @@ from torchid.position.data import WINDOW_S, PositionData
 from torchid.position.diagnosis import PositionDiagnosis
 from torchid.position.effects import CORE
 from torchid.position.equal import pooled, with_data_sheets
-from torchid.position.file_servos import changes_of
+from torchid.position.file_servos import changes_of, with_files_scale
 from torchid.position.findings import describe_findings
 from torchid.position.fit import NOISE
 from torchid.position.judge import Equations, equations, value_interval
+from torchid.position.known_numbers import doubt_of
 from torchid.position.model import ServoArm
 from torchid.position.problem import MOST_WINDOWS, Problem, pose, some_of
 from torchid.position.record import KnownRecord
@@ -42,7 +43,7 @@ from torchid.statistics.criteria import UNSURE_SCALE, WORTHWHILE
 from torchid.typing import Bool, Tensor
 
 STAGES = {
-    "checking the log": 1, "a plain servo": 11, "one effect at a time": 33, "a load": 6, **SEVERAL,
+    "checking the log": 1, "a plain servo": 11, "a load": 6, **SEVERAL,
     "what each effect is worth": 11, "how far it goes": 8,
 }  # fmt: skip
 """That are told as progress, with about the share of the time that each takes [1]."""
@@ -78,7 +79,7 @@ def diagnose_positions(
         sheets: what their makers say of them, values by parameter.
         worthwhile: least share of a joint's error by which a cause must lower it to be named.
         pace: hears which of `STAGES` begins, and says how much time there is.
-        watch: called with an `Answer` of status `searching` whenever more is known.
+        watch: called with an `Answer` of status `searching`, without causes, where a search begins.
 
     Returns:
         The answer; its `corrected` arm is what `torchid.replay` moves.
@@ -96,7 +97,7 @@ def diagnose_positions(
     answered, known, odd = _how_well_known(answered, problem)
     result = _described(answered, known, problem)
     if held_out is not None:
-        servos = (problem.plain if problem.file is None else problem.file.model).servos
+        servos = problem.given or problem.plain.servos
         given = replace(result.corrected, robot=problem.data.robot, servos=servos, std=None)
         before, after = (
             accuracy(arm, held_out, ~problem.data.still) for arm in (given, result.corrected)
@@ -115,6 +116,8 @@ def _how_well_known(
     data, model = answered.motions.data, answered.model
     more, odd = problem.more.windows, tuple[str, ...]()
     known = equations(data, model.servos, model.free, more, trusted=problem.trusted)
+    if problem.file is not None and data.weighed:
+        known = with_files_scale(known, problem.file.model.servos)
     if any(problem.sheets):
         known = with_data_sheets(known, problem.sheets, ~data.still)
     if len(set(problem.types) - {""}) and data.weighed:
@@ -149,6 +152,7 @@ def _of_one_type(
 def _described(answered: Answered, known: Equations, problem: Problem) -> PositionDiagnosis:
     """The answer: where, which, how far, and what this log could not show."""
     data, servos, start = answered.motions.data, answered.model.servos, problem.start
+    believed = problem.believed
     checked, still = check(answered, problem, known), problem.data.still
     ratio_only, unanchored = _ratios_alone(answered, known, problem)
     unknown = still | ratio_only
@@ -187,8 +191,13 @@ def _described(answered: Answered, known: Equations, problem: Problem) -> Positi
             )
             for j, on in enumerate(known.mask & ~still[:, None])
         ),
-        as_given=None if problem.file is None else problem.file.near,
-        changes=() if start is None else changes_of(start, known, ratio_only, still),
+        as_given=None if problem.file is None else problem.file.near & ~problem.doubted,
+        changes=changes_of(start, believed.servos.of("kp"), known, ratio_only, still)
+        if start is not None and believed is not None
+        else (),
+        file_doubt=doubt_of(start.servos, problem.gains, kp, ratio_only | still)
+        if start is not None and problem.gains is not None
+        else "",
     )
 
 
@@ -199,9 +208,12 @@ def _ratios_alone(
     nor a known gain tells it, but for what a file's masses are unsure by."""
     data, by_file = answered.motions.data, answered.by_file
     none = torch.zeros_like(data.still)
-    if problem.file is not None:
-        # The file's gain and masses are the scale; the log refutes a gain beside masses alone.
-        free = none if data.weighed or by_file is None else ~by_file
+    # The file's gain and masses are the scale; the log refutes a gain beside masses alone.
+    free = none if data.weighed or by_file is None else ~by_file
+    # Where the file's other numbers are followed as they are, they are the scale of a gain.
+    sought = problem.file is None or by_file is not None
+    without = ~none if problem.file is None else problem.doubted & sought
+    if not bool(without.any()):
         return free, free
     k = known.names.index("kp")
     # Torques are searched as shares of kp, so that kp alone is that factor.
@@ -211,7 +223,8 @@ def _ratios_alone(
     std = known.deviations()[:, k]
     by_log = (std.square() - known.torque_std.square()).clamp(min=0).sqrt()
     unanchored = (unloaded & ~of_type & ~of_sheet) | (not data.weighed) | (by_log > UNSURE_SCALE)
-    return unanchored | (std > UNSURE_SCALE), unanchored
+    ratios = unanchored | (std > UNSURE_SCALE)
+    return torch.where(without, ratios, free), torch.where(without, unanchored, free)
 
 
 def refitted(arm: ServoArm, data: PositionData, *allowed: Servos) -> tuple[ServoArm, ...]:

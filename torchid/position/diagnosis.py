@@ -123,6 +123,7 @@ class PositionDiagnosis(Diagnosis):
             none.
         noise: what no servo closes, where repeats tell it.
         doubt: what speaks against the log, which the headline says first.
+        file_doubt: what speaks against the robot's file.
         stopped_after: when the search was stopped for want of time; absent of a whole one.
     """
 
@@ -152,6 +153,7 @@ class PositionDiagnosis(Diagnosis):
     not_testable: tuple[NotTestable, ...] = ()
     closed_ci95: tuple[float, float] | None = None
     doubt: str = ""
+    file_doubt: str = ""
     stopped_after: Stopped | UnsetType = UNSET
 
     @property
@@ -270,6 +272,7 @@ class PositionDiagnosis(Diagnosis):
             ),
             reason=small if self.status == "no_gap" else "" if self.file is None else plain,
             doubt=self.doubt or UNSET,
+            file_doubt=self.file_doubt or UNSET,
             stopped=UNSET if self.stopped_after is UNSET else True,
         ).explained_by(glosses)
 

@@ -90,10 +90,22 @@ class LeastFall:
         """What numbers of a cause on some joints cost, as much as samples tell of them [nats]."""
         return 0.5 * numbers * math.log(float(self.samples[at].sum()))
 
-    def of(self, numbers: float | Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-        """Of a cause with so many numbers [rad^2]: each costs as much as samples tell of it."""
-        paid = self.price + 0.5 * numbers * self.samples.log()
+    def of(
+        self, numbers: float | Float[Tensor, " n"], fewer: float | Float[Tensor, " n"] = 0.0
+    ) -> Float[Tensor, " n"]:
+        """Of a cause with so many numbers, in the place of so many causes of one [rad^2]: each
+        costs as much as samples tell of it."""
+        paid = (1 - fewer) * self.price + 0.5 * (numbers - fewer) * self.samples.log()
         return (self.left + self.floor) * (2 * paid / self.samples).expm1()
+
+    def risen(
+        self, motions: Motions, losses: Float[Tensor, "W n"], causes: Float[Tensor, " n"]
+    ) -> Float[Tensor, "W n"]:
+        """Losses of windows that tell as much against them as if they paid for causes, too."""
+        paid = causes * (self.price + 0.5 * self.samples.log())
+        share = motions.windows.length * motions.windows.weight / motions.windows.rows
+        floor = share[:, None] * self.floor
+        return (losses + floor) * (2 * paid / self.samples).exp() - floor
 
 
 @dataclass(frozen=True, eq=False)

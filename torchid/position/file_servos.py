@@ -22,7 +22,7 @@ from torchid.effects.servo import (
     ServoParameter,
     as_share,
 )
-from torchid.position.data import PositionData
+from torchid.position.data import UNEVEN, PositionData
 from torchid.position.effects import EFFECTS, GAINS
 from torchid.position.evidence import LeastFall
 from torchid.position.judge import Equations
@@ -32,8 +32,8 @@ from torchid.position.repeats import PositionNoise
 from torchid.position.search import Rivals
 from torchid.position.servo_model import Motions, ServoModel, mostly_better
 from torchid.simulation.servo import Servos
-from torchid.simulation.servo_loop import body_near, windows_of
-from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, TELLING_STD
+from torchid.simulation.servo_loop import Windows, body_near, windows_of
+from torchid.statistics.criteria import CLEAR_EXCESS, MOVED_STD, SET_MASS, TELLING_STD
 from torchid.typing import Bool, Float
 
 _TORQUES = [INDEX[name] for name in TORQUES]
@@ -61,25 +61,43 @@ def follows(
     motions: Motions, servos: Servos, core: Mapping[str, Tensor], noise: PositionNoise
 ) -> Followed:
     """Which joints servos of a robot's file follow."""
-    data, model = motions.data, _as_file(motions, servos, core)
-    # What windows leave alone is their starts'.
-    least = CLEAR_EXCESS * noise.at_least(data.slight).square()
+    model = as_file(motions, servos, core)
+    near = near_enough(motions, model, noise.at_least(motions.data.slight))
+    return Followed(motions, model, near)
+
+
+def near_enough(
+    motions: Motions, model: ServoModel, noise: Float[Tensor, " n"]
+) -> Bool[Tensor, " n"]:
+    """Joints that servos follow up to errors (n,) that call for no cause [rad]: in windows, in
+    whole motions, or in all that was recorded without a break. What the first alone leave is their
+    starts', at velocities that are not measured."""
+    data, least = motions.data, CLEAR_EXCESS * noise.square()
+    tracks = data.tracks
+    gone = data.log.t[tracks.first] - data.log.t[tracks.last.roll(1)]
+    begins = (gone - tracks.dt).abs() > UNEVEN * tracks.dt
+    start = tracks.first[begins]
+    length = torch.cat([start[1:], tracks.last[-1:] + 1]) - start
+    breaks = Windows(start, length, begins.nonzero().flatten(), torch.ones(len(start)).double())
     near = [
         model.losses(Motions(data, windows)) <= windows.rows * least
-        for windows in (motions.windows, windows_of(data.tracks, None))
+        for windows in (motions.windows, windows_of(tracks, None), breaks)
     ]
-    return Followed(motions, model, torch.stack(near).any(0))
+    return torch.stack(near).any(0)
 
 
-def _as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:
+def as_file(motions: Motions, servos: Servos, core: Mapping[str, Tensor]) -> ServoModel:
     """Servos of a robot's file, each as it is nearest to the log: as said, later by what commands
     are held by, or without a limit of torque, where the file has it behind a damping that servos
     have behind the limit."""
-    ways = servos.joint.repeat(4, 1, 1)
-    ways[1::2, :, INDEX["delay"]] += 0.5 * motions.data.held
-    ways[2:, servos.of("damping_share") > 0, INDEX["clip"]] = math.inf
-    cost = [motions.losses(replace(servos, joint=way)).sum(0) for way in ways]
-    joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
+    if motions.data.beside is not None:
+        joint = motions.data.beside.servos.joint
+    else:
+        ways = servos.joint.repeat(4, 1, 1)
+        ways[1::2, :, INDEX["delay"]] += 0.5 * motions.data.held
+        ways[2:, servos.of("damping_share") > 0, INDEX["clip"]] = math.inf
+        cost = [motions.losses(replace(servos, joint=way)).sum(0) for way in ways]
+        joint = ways[torch.stack(cost).argmin(0), torch.arange(servos.n)]
     fixed = {*core, "damping_share"}
     used = {p.name: servos.of(p.name) != p.neutral for p in PARAMETERS if p.name not in fixed}
     free = {**core, **{name: on for name, on in used.items() if bool(on.any())}}
@@ -96,7 +114,12 @@ def weighing_otherwise(data: PositionData) -> PositionData:
 
 
 def beside_file(
-    motions: Motions, model: ServoModel, file: Servos, squares: float, worth: Worth
+    motions: Motions,
+    model: ServoModel,
+    file: Servos,
+    squares: float,
+    worth: Worth,
+    doubted: Bool[Tensor, " n"],
 ) -> tuple[ServoModel, Bool[Tensor, " n"], Worth, Rivals]:
     """What of an answered model parts it from a file's servos.
 
@@ -111,6 +134,7 @@ def beside_file(
         file: its servos.
         squares: share of the squared error by which a number must lower it to be named.
         worth: of effects beside plain servos.
+        doubted: joints whose gain, as the file has it, is no number to hold anything against.
 
     Returns:
         The model, joints whose gain is the file's, what is worth a name beside the file, and what
@@ -121,22 +145,37 @@ def beside_file(
     for effect in (*GAINS, *(e for e in EFFECTS if e.parameters)):
         names = [p for p in PARAMETERS if p.name in effect.parameters]
         has = torch.stack([file.of(p.name) != p.neutral for p in names]).any(0)
-        asked = motions.every if effect in GAINS else has
+        asked = has if effect not in GAINS else ~doubted if effect is GAINS[0] else motions.every
         if not bool(asked.any()):
             continue
         held, scaled = _with_files_number(motions, model, file, effect, asked)
         whole, one = (motions.losses(m.servos) for m in (model, held))
         two = one if scaled is held else motions.losses(scaled.servos)
+        for j in asked.nonzero().flatten().tolist():
+            # A joint loses no more than where its number alone is the file's: others feel what a
+            # joint does.
+            here = torch.arange(len(asked)) == j
+            alone = motions.losses(
+                model.joined(ServoModel(file, {}), here, effect.parameters).servos
+            )
+            for way in (one, two):
+                if float(alone[:, j].sum()) < float(way[:, j].sum()):
+                    way[:, j] = alone[:, j]
         # Where the gain is the file's, another one is no way to keep the file's number.
         without = torch.where((one.sum(0) <= two.sum(0)) | by_file, one, two)
         needed = asked & _differs(motions, model, file, names)
         least = torch.maximum(fall.of(len(effect.parameters)), squares * without.sum(0))
+        if effect is GAINS[0]:
+            # The file's gain is no simpler where others of its numbers must go for it.
+            more = _gone(motions, held, file, fall) - _gone(motions, model, file, fall)
+            least = torch.minimum(least, fall.of(1.0, more))
+            without = fall.risen(motions, without, more.clamp(min=0))
         needed &= _needed(motions, whole, without, least)
         either = needed & by_file & ~_needed(motions, whole, two, least)
         for j in torch.nonzero(either).flatten().tolist():
             rivals[effect.name, j] = (GAINS[0].name,)
         if effect is GAINS[0]:
-            by_file = ~needed
+            by_file = ~needed & ~doubted
             model = model.joined(held, by_file)
             fall = LeastFall.beside(motions, model.servos)
         before, with_it = worth.get(effect.name, (torch.full_like(whole, torch.nan), whole))
@@ -144,6 +183,54 @@ def beside_file(
         worth[effect.name] = named, with_it
     worth = {k: v for k, v in worth.items() if bool(v[0].isfinite().any())}
     return model, by_file, worth, rivals
+
+
+def with_files_scale(known: Equations, file: Servos) -> Equations:
+    """How well torques are known as a whole, where the log has other torques of a servo as the file
+    says, in the scale of its masses: were these wrong, all that agree would be so by one factor.
+
+    Args:
+        known: the answer.
+        file: its servos.
+    """
+    sure = replace(known, torque_std=torch.zeros_like(known.torque_std))
+    std, luck = sure.deviations(), torch.ones_like(known.torque_std)
+    closest = torch.full_like(luck, math.inf)
+    for k, name in enumerate(known.names):
+        was, now = file.of(name), known.servos.of(name)
+        if name not in TORQUES or name == "kp":
+            continue
+        p = PARAMETERS[INDEX[name]]
+        log = p.kind == "log"
+        share = std[:, k] if log else std[:, k] / was.abs()
+        away = (now / was - 1) / share
+        agrees = known.mask[:, k] & (was > 0) & was.isfinite() & (away.abs() < MOVED_STD)
+        # Beside a file that says nothing of it.
+        chance = share * (away.square() / 2).exp() / (p.prior if log else 1.0)
+        luck = torch.where(agrees, luck * chance.clamp(max=1.0), luck)
+        closest = torch.where(agrees & (share < closest), share, closest)
+    told = torch.where(luck < 1 - SET_MASS, closest, math.inf)
+    return replace(known, torque_std=torch.minimum(known.torque_std, told))
+
+
+def _gone(
+    motions: Motions, model: ServoModel, file: Servos, fall: LeastFall
+) -> Float[Tensor, " n"]:
+    """How many numbers beside the gain are others than a file's on each joint: those that cannot be
+    the file's, nothing else refitted."""
+    n, whole = model.servos.n, model.losses(motions)
+    count = torch.zeros_like(whole)
+    for effect in GAINS[1:]:
+        sets = replace(
+            model.servos,
+            joint=model.servos.joint.repeat(n, 1, 1),
+            plane=model.servos.plane.repeat(n, 1),
+        )
+        for j in range(n):
+            for name in effect.parameters:
+                sets.joint[j, j, INDEX[name]] = file.of(name)[j]
+        count += motions.losses_of_sets(sets).diagonal() - whole > fall.of(1)
+    return count
 
 
 def _differs(
@@ -185,12 +272,17 @@ def _with_files_number(
 
 
 def changes_of(
-    start: ServoArm, known: Equations, shares: Bool[Tensor, " n"], still: Bool[Tensor, " n"]
+    start: ServoArm,
+    gains: Float[Tensor, " n"],
+    known: Equations,
+    shares: Bool[Tensor, " n"],
+    still: Bool[Tensor, " n"],
 ) -> tuple[ChangeRecord, ...]:
     """What was found of each number beside what the robot's file says of it, and of its masses.
 
     Args:
         start: the file's arm.
+        gains: (n,) of which its torques are shares: the file's, but for those that are doubted.
         known: the answer.
         shares: joints of which torques are told as shares of kp.
         still: joints that never move, of which nothing is said.
@@ -209,7 +301,7 @@ def changes_of(
             continue
         share = bool(shares[j]) and p.name in TORQUES and p.name != "kp"
         if share:
-            was, now = was / float(start.servos.of("kp")[j]), now / float(known.servos.of("kp")[j])
+            was, now = was / float(gains[j]), now / float(known.servos.of("kp")[j])
         stds = float(std[j, k]), 0.0 if share else float(before[j, k])
         state = _state(p, was, now, stds)
         if state:

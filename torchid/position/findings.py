@@ -17,10 +17,11 @@ from torchid.position.equal import OF_TYPE
 from torchid.position.evidence import Evidence
 from torchid.position.fit import VALLEYS
 from torchid.position.judge import Equations, value_interval
+from torchid.position.known_numbers import APART
 from torchid.position.payload import Loaded
 from torchid.position.problem import Problem
 from torchid.position.record import PositionFinding
-from torchid.statistics.criteria import LIKELY
+from torchid.statistics.criteria import LIKELY, UNSURE_SCALE
 from torchid.statistics.proportion import HALF_95
 from torchid.typing import Bool, Float
 
@@ -47,11 +48,13 @@ class _Naming:
     @cached_property
     def evidence(self) -> Evidence:
         """What effects are held against."""
-        data = self.answered.motions.data
-        noise = self.problem.noise.at_least(data.slight)
+        motions = self.answered.motions
+        data, noise = motions.data, self.problem.noise.at_least(motions.data.slight)
+        if data.beside is not None:
+            noise = noise.hypot(data.beside.unsure(motions.windows))
         left, whole = self.checked.left(noise / data.scale)
         left = left * data.scale.square()
-        return Evidence(self.answered.motions, self.known, noise, left, whole)
+        return Evidence(motions, self.known, noise, left, whole)
 
     def sure(self, effect: ServoEffect, joint: int | None, numbers: int, joints: int = 1) -> float:
         """Probability of an effect; see `Evidence.sure`."""
@@ -128,17 +131,25 @@ class _Naming:
         was, unit = math.nan, kind.unit
         if start is not None and self.in_file(name, joint):
             was = float(start.servos.of(name)[joint])
+        std, names = math.nan, self.known.names
+        if name in names:
+            std = float(self.known.deviations(self.shares)[joint, names.index(name)])
+        gains = self.problem.gains
+        value_by_others = math.nan if gains is None else float(gains[joint])
+        unsure = bool(self.shares[joint]) or std > UNSURE_SCALE
+        if name == "kp" and unsure and math.isfinite(value_by_others):
+            # The log leaves it open: what all else says, but for what would be doubted, too.
+            value = value_by_others
+            return Number(title, unit, value, (value / APART, value * APART), was)
         if name == "delay":
             # Commands are simulated along straight lines; that they are held until the next one
             # makes them half a sample late on average, which is no delay of its own.
             value -= 0.5 * self.answered.motions.data.held
         if bool(self.shares[joint]) and name in TORQUES and name != "kp":
             value /= float(servos.of("kp")[joint])
-            was /= 1.0 if start is None else float(start.servos.of("kp")[joint])
+            believed = self.problem.believed
+            was /= 1.0 if believed is None else float(believed.servos.of("kp")[joint])
             unit, title = PER_KP[unit], as_share(name)
-        std, names = math.nan, self.known.names
-        if name in names:
-            std = float(self.known.deviations(self.shares)[joint, names.index(name)])
         return Number(title, unit, value, value_interval(name, value, std), was)
 
     def in_file(self, name: str, joint: int) -> bool:

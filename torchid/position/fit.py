@@ -121,8 +121,10 @@ def errors(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor
         owner=owner,
     )
     rows = windows.start + torch.arange(len(q))[:, None]
-    measured = data.q[rows.clamp(max=len(data.q) - 1)]
-    return (q - measured[..., None]).nan_to_num_(nan=0.0)
+    measured = data.q[rows.clamp(max=len(data.q) - 1)][..., None]
+    if data.beside is not None:
+        measured = measured - data.beside(windows, searched(servos))
+    return (q - measured).nan_to_num_(nan=0.0)
 
 
 def errors_of_one(data: PositionData, servos: Servos, windows: Windows) -> Float[Tensor, "L W n"]:

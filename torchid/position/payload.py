@@ -340,7 +340,8 @@ def with_load(motions: Motions, model: ServoModel) -> Loaded | None:
     if found.unlikely(none) < LESS_LIKELY or best.mass * STEP > most:
         return None
     # Where the centre is goes with the mass, too.
-    moments = [p.x[1:] / p.mass for p in found.places if low <= p.mass <= high]
+    between = (p for p in found.places if p is best or low <= p.mass <= high)
+    moments = [p.x[1:] / p.mass for p in between]
     com = beside.load.point + best.x[1:] / best.mass
     *_, gram, _ = beside.equations(best, slice(1, 4))
     std = (beside.noise * torch.linalg.inv(gram).diagonal()).sqrt() / best.mass

@@ -8,29 +8,25 @@ of it are simulated on all joints at once, and a joint takes the best of them if
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoEffect, ServoMotion
+from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoMotion
 from torchid.position.data import PositionData
-from torchid.position.effects import BY_NAME, CORE, EFFECTS, KEPT
+from torchid.position.effects import CORE, EFFECTS, KEPT
 from torchid.position.fit import VALLEYS, giving_way
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.simulation.servo import Servos
-from torchid.statistics.criteria import ALIKE_LOSS
 from torchid.typing import Bool, Float
 
-SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share")
+SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share", "stiction_share")
 """What has a slope everywhere, beside the core."""
 NEARLY_EXPLAINED = 10.0
 """Times the loss that calls for no cause within which a model is fitted to the end [1]."""
 TAKEN = 0.03
 """Share of a joint's loss that a size of an effect without slope must take away to be tried [1]."""
-PROMISING = 0.7
-"""Share of the loss that an effect of set-points leaves at most, before it is brought to where it
-is best [1]."""
 WORST = 0.3
 """Share of the worst joint's loss, over what calls for no cause, from which joints get their effect
 first [1]."""
@@ -59,8 +55,6 @@ STAGED = tuple(
 )
 """Effects that are begun at a finite size beside all that has a slope, one after the other: what
 surrounds the arm first."""
-BESIDE_PLAIN = tuple(effect for effect in EFFECTS if effect not in KEPT)
-"""What plain servos do not have."""
 Rivals = dict[tuple[str, int | None], tuple[str, ...]]
 """By effect and joint, None of what all joints feel: what does as well in its place."""
 
@@ -75,17 +69,24 @@ def plain(motions: Motions) -> ServoModel:
     return begun.fitted(motions, 25, joints=near)
 
 
-def full(motions: Motions, say: Callable[[str], None] = lambda _: None) -> ServoModel:
+def full(
+    motions: Motions, say: Callable[[str], None], begun: ServoModel | None = None
+) -> ServoModel:
     """Every effect that takes error away somewhere, fitted together.
 
     Args:
         motions: with the heights of the link that may touch a plane.
         say: hears what is being tried.
+        begun: servos of a file, where the search begins on joints that these follow nearer.
     """
     say("gains, friction and delay")
     names = (*CORE, *SMOOTH)
-    begun = ServoModel(_start(motions.data, names), dict.fromkeys(names, motions.every))
-    model = _geared(motions.data, begun).fitted(motions, 5)
+    usual = ServoModel(_start(motions.data, names), dict.fromkeys(names, motions.every))
+    model = _geared(motions.data, usual).fitted(motions, 5)
+    if begun is not None:
+        more = [name for name in SMOOTH if name not in begun.free]
+        begun = begun.joined(usual, motions.every, more).fitted(motions, 5, plane=True)
+        model = begun.joined(model, model.losses(motions) < begun.losses(motions))
     say(PROFILE_STAGE)
     model = _beyond_valleys(motions, _with_profile(motions, model))
     for effect in STAGED:
@@ -268,159 +269,6 @@ def _with_plane(motions: Motions, model: ServoModel) -> ServoModel:
     return ServoModel(touching, model.free, True).fitted(motions, 6, plane=True)
 
 
-@dataclass(frozen=True, eq=False)
-class SingleEffects:
-    """One effect a joint.
-
-    Attributes:
-        model: on every joint that has a gap the effect that closes most of it.
-        explained: (n,) joints on which no gap is left.
-        rivals: what does as well in an effect's place.
-    """
-
-    model: ServoModel
-    explained: Bool[Tensor, " n"]
-    rivals: Rivals
-
-
-Tried = dict[str, tuple[ServoModel, Float[Tensor, " n"]]]
-"""By effect: a model with it beside plain servos, and the losses that are left."""
-
-
-def best_single_effect_per_joint(
-    motions: Motions,
-    simple: ServoModel,
-    watch: Callable[[str, Tensor], None] | None = None,
-    effects: Sequence[ServoEffect] = BESIDE_PLAIN,
-) -> SingleEffects:
-    """Each effect by itself beside plain servos, or a file's, whose gains are not free: a joint
-    that one of them explains needs no other.
-
-    Args:
-        motions: to fit to.
-        simple: the servos.
-        watch: called with each effect and the losses (n,) that are left with it.
-        effects: to try.
-    """
-    least, before = motions.slight, simple.losses(motions)
-    if bool((before <= least).all()):
-        return SingleEffects(simple, before <= least, {})
-    tried = _each_beside_plain(motions, simple, watch, effects)
-    model, losses = _plane_alone(tried, simple, before)
-    single, rivals = _with_best_effects(motions, model, losses, tried)
-    if "kp" in simple.free:  # servos of a file begin where the file has them
-        single = with_usual_effects(motions, single)
-    # Joints feel each other: all of them are best before one is judged.
-    single = settled(motions, single) if rivals else single
-    losses = single.losses(motions)
-    return SingleEffects(single, losses <= least, _alike_at_the_end(motions, single, tried, rivals))
-
-
-def _each_beside_plain(
-    motions: Motions,
-    simple: ServoModel,
-    watch: Callable[[str, Tensor], None] | None,
-    effects: Sequence[ServoEffect],
-) -> Tried:
-    """Every effect by itself, on all joints."""
-    least, before = motions.slight, simple.losses(motions)
-    calm = _calm(motions, simple, before > NEARLY_EXPLAINED * least)
-    tried: Tried = {}
-    for effect in effects:
-        model = _beside_plain(motions, calm if effect.has_sizes else simple, effect)
-        tried[effect.name] = model, model.losses(motions)
-        if watch is not None:
-            watch(effect.name, tried[effect.name][1])
-    # What makes set-points is brought to where they are best, where that can matter.
-    for name in (e.name for e in effects if {*e.parameters} & {*VALLEYS}):
-        model, losses = tried[name]
-        best = torch.stack([left for _, left in tried.values()]).amin(0)
-        in_question = (best > least) | (losses < ALIKE_LOSS * best)
-        if bool((in_question & (before > least) & (losses < PROMISING * before)).any()):
-            model = _beyond_valleys(motions, model)
-            tried[name] = model, model.losses(motions)
-    return tried
-
-
-def _plane_alone(tried: Tried, simple: ServoModel, before: Tensor) -> tuple[ServoModel, Tensor]:
-    """With a plane that leaves no more on all joints than an effect of its own on each, and what is
-    left; else plain servos."""
-    of_joints = [losses for name, (_, losses) in tried.items() if BY_NAME[name].parameters]
-    each = torch.stack([before, *of_joints]).amin(0)
-    for name, (model, losses) in tried.items():
-        alike = float(losses.sum()) < ALIKE_LOSS * float(each.sum())
-        if not BY_NAME[name].parameters and alike:
-            return model, losses
-    return simple, before
-
-
-def _with_best_effects(
-    motions: Motions, model: ServoModel, losses: Tensor, tried: Tried
-) -> tuple[ServoModel, Rivals]:
-    """With the best effect on every joint that has a gap; and on those what does as well."""
-    names = [name for name in tried if BY_NAME[name].parameters]
-    left_by = torch.stack([tried[name][1] for name in names])
-    least, (best, which) = motions.slight, left_by.min(0)
-    rivals: Rivals = {}
-    waiting = motions.every
-    # The joints that are worst first: what is left on others may be these joints' doing.
-    for share in (WORST, 0.0):
-        excess = losses / least
-        worst = waiting & (excess > 1) & (excess >= share * excess.amax())
-        worst &= best < (1 - TAKEN) * losses
-        if not bool(worst.any()):
-            continue
-        for j in torch.nonzero(worst).flatten().tolist():
-            name = names[int(which[j])]
-            with_it, here = tried[name][0], torch.arange(motions.data.robot.n) == j
-            repeated = model.servos.repeated | with_it.servos.repeated
-            model = model.joined(with_it, here)
-            model = replace(model, servos=replace(model.servos, repeated=repeated))
-            as_good = left_by[:, j] < ALIKE_LOSS * best[j]
-            rivals[name, j] = tuple(
-                other
-                for other, alike in zip(names, as_good.tolist(), strict=True)
-                if alike and other != name
-            )
-        waiting &= ~worst
-        model = model.fitted(motions, 3, plane=True)
-        losses = model.losses(motions)
-    return model, rivals
-
-
-def _alike_at_the_end(motions: Motions, single: ServoModel, tried: Tried, rivals: Rivals) -> Rivals:
-    """What does as well in an effect's place beside what the other joints have at the end, where
-    the effect leaves much less there than when it was tried."""
-    losses, out = single.losses(motions), dict(rivals)
-    for (name, j), others in rivals.items():
-        if tried[name][1][j] < ALIKE_LOSS * losses[j]:
-            continue
-        here = motions.every & (torch.arange(single.servos.n) == j)
-        instead = (
-            single.joined(tried[other][0], here).fitted(motions, 4, joints=here) for other in others
-        )
-        left = [float(model.losses(motions)[j]) for model in instead]
-        out[name, j] = tuple(
-            other for other, loss in zip(others, left, strict=True) if loss < ALIKE_LOSS * losses[j]
-        )
-    return out
-
-
-def _calm(motions: Motions, simple: ServoModel, far: Bool[Tensor, " n"]) -> ServoModel:
-    """Plain servos as the calmer half of the windows tells them, on the joints where much is left.
-
-    What acts beyond a limit does nothing there; beside numbers that have made up for it, it would
-    not be found.
-    """
-    begun = simple.joined(ServoModel(_start(motions.data, CORE), simple.free), far)
-    calm, weight = simple, motions.windows.weight * motions.windows.length
-    for _ in range(2 if "kp" in simple.free and bool(far.any()) else 0):
-        each = motions.losses(calm.servos)[:, far] / weight[:, None]
-        calmer = (each / each.mean(0)).sum(1).argsort()[: max(1, len(each) // 2)]
-        calm = begun.fitted(Motions(motions.data, motions.windows.some(calmer)), 8, joints=far)
-    return calm
-
-
 def with_usual_effects(motions: Motions, model: ServoModel) -> ServoModel:
     """What more than half of the joints have, tried at the size that is usual there on joints that
     lack it, or err with it: the servos of an arm are mostly of one make."""
@@ -446,30 +294,3 @@ def with_usual_effects(motions: Motions, model: ServoModel) -> ServoModel:
         after = tried.losses(motions)
         model = model.joined(tried, others & _falls(motions, before, after))
     return model
-
-
-def _beside_plain(motions: Motions, simple: ServoModel, effect: ServoEffect) -> ServoModel:
-    """Plain servos with one more effect, on every joint that is better with it."""
-    if not effect.parameters:
-        return _with_plane(motions, simple)
-    if effect.name == "set_point_profile":
-        return _with_profile(motions, simple)
-    if effect.name == "command_filter":
-        return _with_filter(motions, simple)
-    model, every = simple, motions.every
-    far = motions.data.command_gain != 1
-    if effect.name == "command_gain" and "kp" in simple.free and bool(far.any()):
-        begun = simple.at(
-            torch.where(far[:, None], _start(motions.data, CORE).joint, simple.servos.joint)
-        )
-        model = _geared(motions.data, begun).fitted(motions, 12)
-    if effect.has_sizes:
-        for name in effect.parameters:
-            # Of two stops each where it helps: both at once would hold the joint.
-            only = len(effect.parameters) == 1
-            model = _with_size(motions, model, name, sure=not only, iterations=3)
-        return model
-    begun = ServoModel(
-        _start(motions.data, effect.parameters), dict.fromkeys(effect.parameters, every)
-    )
-    return simple.joined(begun, every, effect.parameters).fitted(motions, 4)

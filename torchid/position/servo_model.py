@@ -73,7 +73,8 @@ class ServoModel:
         """(n,) joints on which an effect is part of the model."""
         if not effect.parameters:
             return torch.full((self.servos.n,), self.plane)
-        return torch.stack([self.where_free(name) for name in effect.parameters]).any(0)
+        own = [name for name in effect.parameters if not PARAMETERS[INDEX[name]].shape]
+        return torch.stack([self.where_free(name) for name in own]).any(0)
 
     @property
     def causes(self) -> int:
@@ -119,16 +120,18 @@ class ServoModel:
             plane = self.servos.plane.clone()
             plane[4] = 0.0
             return ServoModel(replace(self.servos, plane=plane), self.free)
+        # A shape stays where another effect has it.
+        gone = dict.fromkeys(effect.parameters, joints)
+        for other in EFFECTS:
+            for name in {*other.parameters} & {*gone} if other != effect else ():
+                gone[name] = gone[name] & ~self.where(other)
         values = self.servos.joint.clone()
-        for name in effect.parameters:
+        for name, on in gone.items():
             k = INDEX[name]
             most, there = usual.get(name), values[:, k]
             less = PARAMETERS[k].neutral if most is None else there.clamp(-most, most)
-            values[:, k] = torch.where(joints, less, there)
-        free = {
-            name: on & ~joints if name in effect.parameters else on
-            for name, on in self.free.items()
-        }
+            values[:, k] = torch.where(on, less, there)
+        free = {name: on & ~gone.get(name, ~on) for name, on in self.free.items()}
         free = {name: on for name, on in free.items() if bool(on.any())}
         return replace(self.at(values), free=free)
 

@@ -36,10 +36,9 @@ def not_testable(
         size = USUAL[name] * (servos.of("kp") if name in TORQUES else 1.0)
         column = row[:, INDEX[name]]
         column += size
-        if name == "stiction":  # fades with a speed, where it has none yet
-            speed = row[:, INDEX["stribeck_speed"]]
-            start = PARAMETERS[INDEX["stribeck_speed"]].start
-            speed.copy_(torch.where(column > size, speed, start))
+        for k in map(INDEX.__getitem__, effect.parameters[1:]):  # a shape that is none yet
+            p = PARAMETERS[k]
+            row[:, k] = torch.where(row[:, k] == p.neutral, p.start, row[:, k])
     sets = replace(servos, joint=joint, plane=servos.plane.repeat(len(joint), 1))
     s = sensitivities(data, servos, names, windows)
     change = errors(data, sets, windows) - s.residual[..., None]

@@ -209,13 +209,14 @@ def caution_lines(warnings: Sequence[str], width: int) -> Iterator[Text]:
         yield Text(f"! {more}: --verbose, or `torchid explain` of the JSON")
 
 
-def model_words(answer: Answer, model: str | None, given: str) -> str:
+def model_words(answer: Answer, model: str | None, given: str, logs: str = "") -> str:
     """Which model to use next, and how much better it is on the data that judge it.
 
     Args:
         answer: of a diagnosis.
         model: file of the corrected model, or None where it was not kept.
         given: the robot's file or name.
+        logs: options that name the logs again.
     """
     before, after = answer.before, answer.after
     if answer.status in ("no_gap", "negligible"):
@@ -240,5 +241,8 @@ def model_words(answer: Answer, model: str | None, given: str) -> str:
     text = f"Use {name}, confirmed {after.words}: {errs}, {whole}."
     if model is None:
         return f"{text} --save-model corrected.yaml keeps it."
-    target = "mjcf" if answer.of_positions else "urdf"  # a URDF has no servos
-    return f"{text} Export: torchid export {model} --to {target} --out exported"
+    if not answer.of_positions:
+        return f"{text} Export: torchid export {model} --to urdf --out exported"
+    # A URDF has no servos; what an MJCF has no field for is refitted to the logs by others.
+    words = f"torchid export {model} --to mjcf {logs} --out exported"
+    return f"{text} Export: {' '.join(words.split())}"

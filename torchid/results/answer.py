@@ -189,6 +189,7 @@ class Answer(Part, frozen=True, kw_only=True):
             repeats more than 3 % of its torque, and three times the least noise; absent where there
             is none.
         doubt: what speaks against the log, said first; absent where nothing does.
+        file_doubt: the same against the robot's file, of which the rest may be right.
         since: the earlier log that causes are held against; absent without one.
         stopped: whether most causes were not looked for, for want of time; absent of a whole one.
         glosses: what names of effects say that are not everybody's, of those that it names.
@@ -213,6 +214,7 @@ class Answer(Part, frozen=True, kw_only=True):
     reason: str = ""
     unexplained: str | UnsetType = UNSET
     doubt: str | UnsetType = UNSET
+    file_doubt: str | UnsetType = UNSET
     since: str | UnsetType = UNSET
     stopped: bool | UnsetType = UNSET
     glosses: dict[str, str] = msgspec.field(default_factory=dict)
@@ -313,7 +315,7 @@ class Answer(Part, frozen=True, kw_only=True):
         if self.status == "searching":
             return self._so_far()
         text = self.fails or (self._of_causes() if self.causes else self._without_cause())
-        return f"{self.doubt}\n{text}" if self.doubt else text
+        return "\n".join(str(x) for x in (self.doubt, self.file_doubt, text) if x)
 
     def _without_cause(self) -> str:
         """Why nothing is named."""

@@ -4,7 +4,7 @@ The compiled model is float64. What MuJoCo has beyond rigid bodies, damping, lin
 friction and armature on joints of one freedom is told in `warnings`.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +19,15 @@ from torchid.robot.assemble import assemble
 from torchid.robot.mjcf_files import require_end
 from torchid.robot.model import Robot
 from torchid.robot.placement import pose, quaternion
-from torchid.robot.spec import FAILURES, SET_POINT, listening, name_parts, spec_tree
+from torchid.robot.spec import (
+    FAILURES,
+    INSIDE,
+    SERVO,
+    SET_POINT,
+    listening,
+    name_parts,
+    spec_tree,
+)
 from torchid.robot.tree import Base, Choice, Following, Tree, choose
 from torchid.robot.xml_numbers import parse_xml
 
@@ -268,24 +276,37 @@ def mjcf_servos(path: Path, joints: Iterable[str]) -> list[dict[str, float]]:
     Raises:
         RobotError: MuJoCo cannot compile the file.
     """
-    model = compiled(path).model
-    kinds, servos = mujoco.mjtTrn, dict[int, list[dict[str, float]]]()
+    model, servos = compiled(path).model, dict[int, list[dict[str, float]]]()
+    for a, joint, gear, has_set_point in driving(model):
+        values = _servo(model, a, joint, gear)
+        if has_set_point:
+            servos[joint] = [_with_set_point(model, values, joint)]
+        elif model.actuator(a).name == f"{SERVO}{model.joint(joint).name}{INSIDE}":
+            # Damping of a servo whose other actuator is on its set point, before this one.
+            within = -float(model.actuator_biasprm[a, 2])
+            whole = within + servos[joint][0]["damping"]
+            servos[joint][0] |= {"damping": whole, "damping_share": within / whole}
+        else:
+            servos.setdefault(joint, []).append(values)
+    ids = [mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name) for name in joints]
+    return [servos[k][0] if len(servos.get(k, ())) == 1 else {} for k in ids]
+
+
+def driving(model: Any) -> Iterator[tuple[int, int, float, bool]]:
+    """Actuators that drive one joint each: which, the joint, the gear, and whether the joint
+    follows a set point that is a joint, too."""
+    kinds = mujoco.mjtTrn
     for a in range(model.nu):
         joint, gear = int(model.actuator_trnid[a, 0]), float(model.actuator_gear[a, 0])
         if int(model.actuator_trntype[a]) == int(kinds.mjTRN_TENDON):
             first, count = int(model.tendon_adr[joint]), int(model.tendon_num[joint])
             if count == 2 and model.tendon(joint).name.startswith(SET_POINT):
-                joint = int(model.wrap_objid[first])
-                servos[joint] = [_with_set_point(model, _servo(model, a, joint, gear), joint)]
-                continue
-            if count != 1 or int(model.wrap_type[first]) != int(mujoco.mjtWrap.mjWRAP_JOINT):
-                continue
-            joint, gear = int(model.wrap_objid[first]), gear * float(model.wrap_prm[first])
-        elif int(model.actuator_trntype[a]) != int(kinds.mjTRN_JOINT):
-            continue
-        servos.setdefault(joint, []).append(_servo(model, a, joint, gear))
-    ids = [mujoco.mj_name2id(model, int(mujoco.mjtObj.mjOBJ_JOINT), name) for name in joints]
-    return [servos[k][0] if len(servos.get(k, ())) == 1 else {} for k in ids]
+                yield a, int(model.wrap_objid[first]), gear, True
+            elif count == 1 and int(model.wrap_type[first]) == int(mujoco.mjtWrap.mjWRAP_JOINT):
+                share = float(model.wrap_prm[first])
+                yield a, int(model.wrap_objid[first]), gear * share, False
+        elif int(model.actuator_trntype[a]) == int(kinds.mjTRN_JOINT):
+            yield a, joint, gear, False
 
 
 def _servo(model: Any, actuator: int, joint: int, gear: float) -> dict[str, float]:
@@ -310,11 +331,12 @@ def _servo(model: Any, actuator: int, joint: int, gear: float) -> dict[str, floa
         values["damping_share"] = own / damping
     limits = []
     if model.actuator_forcelimited[actuator]:
-        limits.append(abs(model.actuator_forcerange[actuator]).max() * abs(gear))
+        limits.append(model.actuator_forcerange[actuator] * gear)
     if model.jnt_actfrclimited[joint]:
-        limits.append(abs(model.jnt_actfrcrange[joint]).max())
+        limits.append(model.jnt_actfrcrange[joint])
     if limits:
-        values["clip"] = min(limits)
+        # A constant torque is beside what a servo can, as far as its limits are about it.
+        values["clip"] = min(abs(ends - values["offset"]).max() for ends in limits)
     if int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE):
         values["lag"] = model.actuator_dynprm[actuator, 0]
     return {name: float(value) for name, value in values.items()}

@@ -25,6 +25,9 @@ FAILURES = (ValueError, RuntimeError, mujoco.FatalError)
 
 SET_POINT = "torchid_set_point_"
 """Before a joint's name: body and joint that are its servo's set point, and no part of the arm."""
+SERVO, INSIDE = "torchid_servo_", "_damping"
+"""Before a joint's name: actuators of its servo where it has a set point; and behind it: that of
+the damping that a limit of force holds, too."""
 _SHORTEST_AXIS = 1e-12
 _MOTIONS = {
     mujoco.mjtJoint.mjJNT_HINGE: JointType.REVOLUTE,

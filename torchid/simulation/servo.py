@@ -2,13 +2,21 @@
 
 A servo turns a commanded position into a torque, and only the joint's position answers:
 
-    J ddq + M(q) ddq + h(q, dq) = clip(kp e + ki int e dt + kd (dx - dq) - s b dq) - (1 - s) b dq
+    J ddq + M(q) ddq + h(q, dq) = f clip(kp e + ki int e dt + kd (dx - dq) - s b dq) - (1 - s) b dq
                                   - friction + rest
 
+f = 1 - sum of |torques| / supply is what the supply that all share has left of its voltage [2], and
+with s = 0, as of a motor that is driven by a voltage, the limit of torque falls with speed, by b.
 e = z(x - q). x is the set-point: the command, late by a delay, through a profile of limited
 acceleration and speed and a filter of first order. z has a dead zone. The friction holds a joint at
-rest with anything up to its dry part (Coulomb, more at rest, and shares of the motor's and of the
-external torque).
+rest with anything up to its dry part F, of the torques m of the motor and l from outside [1]:
+
+    F = coulomb + |load_share l - motor_share m|
+        + (stiction + stiction_share |l - m|) exp(-|dq / stribeck_speed|^stribeck_exponent)
+
+[1] Duclusaud, Passault, Padois, Ly 2025, Extended friction models for the physics simulation of
+servo actuators (ICRA): its models M1 to M4, and M5 where the two shares that fade are one.
+[2] better-actuator-models 1.0.2, MujocoController: vin - vin_drop_resistance sum |torque| / kt.
 """
 
 from collections.abc import Collection, Mapping

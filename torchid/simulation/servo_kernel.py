@@ -55,21 +55,21 @@ LANES, SLOT = 16, 264
 COLUMNS = (
     "kp", "kd", "integral", "damping", "armature", "delay", "offset", "coulomb", "stiction",
     "stribeck_speed", "motor_share", "load_share", "clip", "dead_zone", "stop_low", "stop_high",
-    "damping_share",
+    "damping_share", "stiction_share", "stribeck_exponent", "supply",
 )  # fmt: skip
 """Parameters of servos that steps need, in this order."""
 (
     KP, KD, INTEGRAL, DAMPING, ARMATURE, DELAY, OFFSET, COULOMB, STICTION, STRIBECK, MOTOR_SHARE,
-    LOAD_SHARE, CLIP, DEAD_ZONE, LOW, HIGH, DAMPING_SHARE, PART, RATE, FADING, STOP, HARD, GAIN,
-    OUTSIDE, INSIDE,
-) = (k * SLOT for k in range(25))  # fmt: skip
-PARAMETERS = 25
+    LOAD_SHARE, CLIP, DEAD_ZONE, LOW, HIGH, DAMPING_SHARE, STICTION_SHARE, EXPONENT, SUPPLY, PART,
+    RATE, FADING, STOP, HARD, GAIN, OUTSIDE, INSIDE,
+) = (k * SLOT for k in range(28))  # fmt: skip
+PARAMETERS = 28
 # What a step holds; Q to SUM are a state. Of A1 and AHEAD there are two copies.
 (
     Q, V, A, SUM, X0, D0, D1, J0, J1, F0, F1, NEAR, DOMINANCE, LOAD, LACKING, LEAN, SOFT, DRIVE,
-    REST, MORE, DRY, PUSH, SLOPE, ERROR, FREE, HELD, SLIP, W, V1, A1, AHEAD,
-) = (k * SLOT for k in range(31))  # fmt: skip
-SLOTS = 31
+    REST, MORE, DRY, PUSH, SLOPE, ERROR, FREE, HELD, SLIP, POWER, W, V1, A1, AHEAD,
+) = (k * SLOT for k in range(32))  # fmt: skip
+SLOTS = 32
 
 
 def _compiled(function: Function) -> Function:
@@ -678,15 +678,37 @@ def _exp(x: float) -> float:
 
 
 @_compiled
-def _resist(w: Array, a: Array, size: int, stiction: bool) -> None:
-    """The most that dry friction can hold now."""
+def _feed(w: Array, a: Array, n: int, m: int) -> None:
+    """The share of its voltage that the supply has left, 1 - sum / S of the torques that it leaves:
+    1 / (1 + sum / S) of those at full voltage, f = 1 - f sum / S."""
+    for lane in range(m):
+        total = 0.0
+        for i in range(lane, n * m, m):
+            total += abs(
+                _between(w[DRIVE + i] - a[INSIDE + i] * w[V + i], -a[CLIP + i], a[CLIP + i])
+            )
+        for i in range(lane, n * m, m):
+            w[POWER + i] = 1 / (1 + total / a[SUPPLY + i])
+
+
+@_compiled
+def _resist(w: Array, a: Array, size: int, fades: bool, bends: bool) -> None:
+    """The most that dry friction can hold now, of the torques of the motor, from outside, and their
+    difference, which the gear transmits."""
     for i in range(size):
-        motor = min(abs(w[DRIVE + i] - a[INSIDE + i] * w[V + i]), a[CLIP + i])
-        dry = a[COULOMB + i] + a[LOAD_SHARE + i] * abs(w[LOAD + i] - w[PUSH + i])
-        w[DRY + i] = dry + a[MOTOR_SHARE + i] * motor
-    if stiction:
+        motor = _between(w[DRIVE + i] - a[INSIDE + i] * w[V + i], -a[CLIP + i], a[CLIP + i])
+        motor *= w[POWER + i]
+        external = w[PUSH + i] - w[LOAD + i]
+        shared = abs(a[LOAD_SHARE + i] * external - a[MOTOR_SHARE + i] * motor)
+        w[DRY + i] = a[COULOMB + i] + shared
+        w[HELD + i] = a[STICTION + i] + a[STICTION_SHARE + i] * abs(external - motor)
+        w[SLIP + i] = abs(w[V + i]) * a[FADING + i]
+    if bends:
         for i in range(size):
-            w[DRY + i] += a[STICTION + i] * _exp(abs(w[V + i]) * a[FADING + i])
+            w[SLIP + i] = -((-w[SLIP + i]) ** a[EXPONENT + i])
+    if fades:
+        for i in range(size):
+            w[DRY + i] += w[HELD + i] * _exp(w[SLIP + i])
 
 
 @_compiled
@@ -697,7 +719,7 @@ def _solve(lanes: _Lanes, p: int, n: int, m: int, h: float, sweeps: int, settled
     w, a, body, size = lanes.w, lanes.a[p], lanes.body, n * m
     for i in range(size):
         soft = w[SOFT + i] + w[MORE + i]
-        w[SLIP + i], w[HELD + i] = 1 / soft, 1 / (soft + a[GAIN + i])
+        w[SLIP + i], w[HELD + i] = 1 / soft, 1 / (soft + a[GAIN + i] * w[POWER + i])
         w[A1 + i], w[A1 + size + i] = w[A + i], w[A + i]
     for _ in range(sweeps):
         for i in range(size):
@@ -708,11 +730,11 @@ def _solve(lanes: _Lanes, p: int, n: int, m: int, h: float, sweeps: int, settled
                 w[FREE + i] -= coupling[i] * of[i]
         for i in range(size):
             free, drive, dry = w[FREE + i], w[DRIVE + i], w[DRY + i]
-            total = free + drive
+            total = free + drive * w[POWER + i]
             mean = (total - _between(total, -dry, dry)) * w[HELD + i]
             torque = drive - a[GAIN + i] * mean
             held = _between(torque, -a[CLIP + i], a[CLIP + i])
-            total = free + held
+            total = free + held * w[POWER + i]
             slipping = (total - _between(total, -dry, dry)) * w[SLIP + i]
             mean = slipping if torque != held else mean
             # What is held is at rest.
@@ -751,11 +773,15 @@ def simulate(run: Runs, out: Array) -> None:
     wait = run.each * h / 2
     sweeps, settled = (TOGETHER, 0.0) if known else (SWEEPS, SETTLED)
     # What takes the longest, and is left out where no set has it.
-    stiction = bool((run.joint[..., STICTION // SLOT] > 0).any())
+    fades = bool((run.joint[..., STICTION // SLOT] > 0).any())
+    fades = fades or bool((run.joint[..., STICTION_SHARE // SLOT] > 0).any())
+    bends = fades and bool((run.joint[..., EXPONENT // SLOT] != 1).any())
     touches = bool((run.plane[..., 4] > 0).any())
+    sags = bool((run.joint[..., SUPPLY // SLOT] < math.inf).any())
     # A body that is evaluated costs more than all else: one window after the other.
     most = max(1, min(LANES, SLOT // (2 * n))) if known else 1
     w, a = np.zeros(SLOTS * SLOT + SLOT), np.zeros((sets, PARAMETERS * SLOT))
+    w[POWER : POWER + SLOT] = 1.0
     s, body = np.zeros((sets, 4 * SLOT)), np.zeros((2 * n * n + 2 * n) * most)
     deep, hard = np.zeros((2, most))
     who, at = np.zeros(most, np.int64), np.zeros(most, np.int64)
@@ -809,7 +835,9 @@ def simulate(run: Runs, out: Array) -> None:
                     _drive(w, own, size, z, steps, jumping)
                     if touches:
                         _touch(lanes, n, m, h, run.contact_damping)
-                    _resist(w, own, size, stiction)
+                    if sags:
+                        _feed(w, own, n, m)
+                    _resist(w, own, size, fades, bends)
                     _solve(lanes, p, n, m, h, sweeps, settled)
                     _advance(w, own, size, h)
                 for slot in (Q, V, A, SUM):

@@ -46,6 +46,9 @@ AT_RUN_TIME = ("kd", "acceleration", "speed")
 """Parameters of servos that set-points at run time make true."""
 FIELDS = ("damping", "coulomb", "armature")
 """Parameters that simulators have fields of joints for."""
+BY_LOAD = ("load_share", "stiction_share")
+OF_ALL = (*BY_LOAD, "supply")
+"""Parameters by which friction is by the load, and those whose torque is by all joints at once."""
 NOT_AS_EFFORT = ("stop_low", "stop_high")
 """Parameters that an actuator does nothing about: limits are the joint's."""
 AS_EFFORT = tuple(p.name for p in PARAMETERS if p.name not in NOT_AS_EFFORT)
@@ -204,9 +207,11 @@ class ServoTorque:
         p = {x.name: servos.of(x.name).to(device, dtype) for x in PARAMETERS}
         neutral = {x.name: x.neutral for x in PARAMETERS}
         self._knows_load = sorted(self.joints) == list(range(robot.n))
-        self._loaded = self._knows_load and bool((p["load_share"] > 0).any())
-        out_of_reach = NOT_AS_EFFORT if self._knows_load else ("load_share", *NOT_AS_EFFORT)
+        out_of_reach = NOT_AS_EFFORT if self._knows_load else (*OF_ALL, *NOT_AS_EFFORT)
         unmade = [name for name in out_of_reach if bool((p[name] != neutral[name]).any())]
+        for name in () if self._knows_load else OF_ALL:
+            p[name] = torch.full_like(p[name], neutral[name])
+        self._loaded = any(bool((p[name] > 0).any()) for name in BY_LOAD)
         self.ignored = (*unmade, *["plane"] * bool((every.plane[..., 4] > 0).any()))
         self._p, self._dt, self._steps, self._fields = p, dt, steps, fields
         self._resting, self._robot = resting, robot
@@ -267,12 +272,13 @@ class ServoTorque:
         inside = p["damping_share"] * p["damping"]
         motor = p["kp"] * error + p["kd"] * (dx - dq) - inside * dq + self._sum
         motor = motor.clamp(-p["clip"], p["clip"])
+        motor = motor / (1 + motor.abs().sum(-1, keepdim=True) / p["supply"])
         # What the servo cannot give is not summed.
         self._sum = (self._sum + p["integral"] * dt * error).clamp(-p["clip"], p["clip"])
-        dry = p["stiction"] * torch.exp(-dq.abs() / p["stribeck_speed"])
-        dry = dry + p["motor_share"] * motor.abs()
-        if self._loaded:
-            dry = dry + p["load_share"] * self._load(q, dq).abs()
+        load = self._load(q, dq) if self._loaded else torch.zeros_like(q)
+        fading = torch.exp(-((dq.abs() / p["stribeck_speed"]) ** p["stribeck_exponent"]))
+        dry = (p["stiction"] + p["stiction_share"] * (motor + load).abs()) * fading
+        dry = dry + (p["motor_share"] * motor + p["load_share"] * load).abs()
         out = motor + p["offset"]
         if self._fields:
             dry, out = dry + p["coulomb"], out - (p["damping"] - inside) * dq

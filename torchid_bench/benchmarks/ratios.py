@@ -34,7 +34,8 @@ from torchid.dynamics.newton_euler import inverse_dynamics
 from torchid.dynamics.regressor import RegressorChunk, regressor_chunks
 from torchid.errors import TorchidError
 from torchid.excitation.design import excite
-from torchid.excitation.synthetic import simulate
+from torchid.excitation.synthetic import simulate, synthetic_log
+from torchid.excitation.trajectories import random_trajectory, trajectory_log
 from torchid.export.export import export_dynamics
 from torchid.gap.diagnose import diagnose
 from torchid.identification.identify import identify
@@ -46,7 +47,6 @@ from torchid.robot.library import load_robot
 from torchid.simulation.sensors import HonestNoise
 from torchid.wrenches.deviation import wrench_errors
 from torchid_bench.benchmarks.cpu_time import machine
-from torchid_bench.benchmarks.gap_speed import case
 from torchid_bench.benchmarks.runner import command, table
 from torchid_bench.benchmarks.sysid_toolbox import sysid_toolbox
 
@@ -360,7 +360,12 @@ def toolbox(folder: Path) -> Iterator[Line]:
 def diagnosis(folder: Path) -> Iterator[Line]:
     """Ten seconds of log against what any diagnosis of them needs: they are read, filtered and
     differentiated; one regressor; one QR."""
-    robot, log = case(10.0, 100.0)
+    robot = load_robot("kuka_lwr4")
+    rubs = replace(
+        robot, effects=(*robot.effects, {"effect": "coulomb_friction", "joint": 4, "Fc": 1.5})
+    )
+    plan = random_trajectory(robot, seed=0, duration=10.0, fill=True, usage=0.8)
+    log = synthetic_log(rubs, trajectory_log(plan, 100.0), HonestNoise(), seed=1)
     file = folder / "run.csv"
     write_log(log, file)
 

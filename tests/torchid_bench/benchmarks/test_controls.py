@@ -117,14 +117,9 @@ SERVO = """<mujoco><compiler angle="radian" autolimits="true"/>
     <joint name="a" axis="0 1 0" damping=".04" frictionloss=".05" armature=".01"/>
     <inertial pos=".12 0 0" mass=".7" diaginertia=".002 .003 .003"/></body></worldbody>
   <actuator><position joint="a" kp="14" kv=".5" {}/></actuator></mujoco>"""
-AT_ITS_LIMIT = pytest.mark.xfail(
-    strict=True,
-    reason="a servo that is at the limit of its force for moments after each step is replayed with "
-    "another force than MuJoCo's, and the limit of its own file is named as what the arm lacks",
-)
 
 
-@pytest.mark.parametrize("limit", ["", pytest.param('forcerange="-9 9"', marks=AT_ITS_LIMIT)])
+@pytest.mark.parametrize("limit", ["", 'forcerange="-9 9"'])
 def test_of_mujocos_own_log_of_a_servo_nothing_is_named(limit: str, tmp_path: Path) -> None:
     """Commands jump, are held for 20 ms, and positions are counts of 4096 a turn."""
     (tmp_path / "arm.xml").write_text(SERVO.format(limit))

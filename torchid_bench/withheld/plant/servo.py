@@ -31,7 +31,7 @@ NEUTRAL = MappingProxyType(
         "sag": 0.0, "fade": 0.0, "offset": 0.0, "delay": 0.0, "lag": 0.0, "late": 0.0,
         "dropped": 0.0, "scale": 1.0, "acceleration": np.inf, "speed": np.inf, "coulomb": 0.0,
         "stiction": 0.0, "stribeck_speed": 1.0, "load_share": 0.0, "motor_share": 0.0,
-        "cogging": 0.0, "teeth": 1.0, "heating": 0.0, "jitter": 0.0,
+        "stiction_share": 0.0, "cogging": 0.0, "teeth": 1.0, "heating": 0.0, "jitter": 0.0,
     }
 )  # fmt: skip
 """Every number of a servo, with its value without effect: kp [N m/rad], kd [N m s/rad] on the rate
@@ -40,8 +40,8 @@ clip [N m], sag of the supply per torque of all servos [1/(N m)], fade of kp ove
 offset [N m], delay, lag of a first-order filter, late position readings [s], share of commands that
 are dropped, scale of the command, limits of the set-point's acceleration [rad/s^2] and speed
 [rad/s], coulomb, stiction [N m] that fades with stribeck_speed [rad/s], friction per external and
-per motor torque, cogging [N m] with teeth a turn, heating: how much friction falls [1],
-jitter of the times at which commands come [samples]."""
+per motor torque, friction that fades per torque of the gear, cogging [N m] with teeth a turn,
+heating: how much friction falls [1], jitter of the times at which commands come [samples]."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,10 @@ def _motion(
     model.dof_damping[motors] += p["kd"]
     model.dof_solimp[:, :2] = _RIGID
     model.dof_frictionloss[motors] = p["coulomb"]
-    beyond, varying = servos.beyond, ("stiction", "load_share", "motor_share", "heating")
+    beyond, varying = (
+        servos.beyond,
+        ("stiction", "load_share", "motor_share", "stiction_share", "heating"),
+    )
     dry_changes = beyond is not None or any(map(servos.has, varying))
     data, forward = mujoco().MjData(model), mujoco().mj_step
     data.qpos[motors] = given[0]
@@ -153,9 +156,10 @@ def _motion(
         q_of[k], torque_of[k], load_of[k], height[k] = q, torque, load, data.xpos[tool, 2]
         data.ctrl[:] = torque + p["offset"] + p["cogging"] * np.sin(p["teeth"] * q)
         if dry_changes:
-            dry = p["coulomb"] + p["stiction"] * np.exp(-np.abs(dq) / p["stribeck_speed"])
             motor = torque - p["kd"] * dq
-            dry += p["load_share"] * np.abs(load) + p["motor_share"] * np.abs(motor)
+            fades = p["stiction"] + p["stiction_share"] * np.abs(load + motor)
+            dry = p["coulomb"] + fades * np.exp(-np.abs(dq) / p["stribeck_speed"])
+            dry += np.abs(p["load_share"] * load + p["motor_share"] * motor)
             if beyond is not None:
                 dry = beyond.dry(dry, dq, motor, -load)
                 data.ctrl[:] += beyond.pull(q)

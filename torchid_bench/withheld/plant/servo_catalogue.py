@@ -171,6 +171,10 @@ _PLANTS: dict[str, Plant] = {
     ),
     "load_dependent_friction": _servo(load_share=lambda c, j, s, x: s * (0.2 + 0.2 * x)),
     "motor_dependent_friction": _servo(motor_share=lambda c, j, s, x: s * (0.15 + 0.2 * x)),
+    "load_dependent_stribeck": _servo(
+        stiction_share=lambda c, j, s, x: s * (0.2 + 0.2 * x),
+        stribeck_speed=lambda c, j, s, x: 0.1 + 0.4 * x,
+    ),
     "end_stop": _stop,
     "plane_contact": _floor,
     "payload": _payload,
