@@ -18,8 +18,7 @@ from torchid.position.payload import Loaded, with_load
 from torchid.position.problem import Problem
 from torchid.position.record import error_words
 from torchid.position.search import (
-    PROFILE_STAGE,
-    STAGED,
+    FINITE_STAGE,
     WORST,
     Rivals,
     full,
@@ -34,9 +33,7 @@ from torchid.statistics.criteria import ALIKE_LOSS, SET_MASS
 from torchid.typing import Bool, Float
 
 SEVERAL = {
-    "gains, friction and delay": 2, PROFILE_STAGE: 8,
-    **{effect.name.replace("_", " "): 0.4 for effect in STAGED}, "command filter": 7,
-    "command gain": 2, "all together": 10,
+    "gains, friction and delay": 2, FINITE_STAGE: 30, "all together": 10,
 }  # fmt: skip
 """Stages of a search for several effects on one joint, with their shares of the time [1]."""
 ANCHORS = ("kp", "armature", "offset")

@@ -350,7 +350,7 @@ def _of_range(data: PositionData, joint: int) -> str:
         return (
             f"joint {joint + 1} {data.robot.joint_names[joint]} is logged as {words} of its range: "
             f"q = {span / whole:.4g} q{joint + 1} {low:+.4g} rad. Its zero is not known here; read "
-            f'it with --columns "q=q{{j}} {line},u=u{{j}} {line}"'
+            f"it with the columns q=q{{j}} {line},u=u{{j}} {line}"
         )
     return ""
 

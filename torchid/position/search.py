@@ -7,18 +7,20 @@ of it are simulated on all joints at once, and a joint takes the best of them if
 """
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoMotion
+from torchid.effects.servo import INDEX, PARAMETERS, TORQUES, ServoEffect, ServoMotion
 from torchid.position.data import PositionData
 from torchid.position.effects import CORE, EFFECTS, KEPT
 from torchid.position.fit import VALLEYS, giving_way
 from torchid.position.servo_model import Motions, ServoModel
 from torchid.simulation.servo import Servos
+from torchid.statistics.criteria import ALIKE_LOSS
 from torchid.typing import Bool, Float
 
 SMOOTH = ("kd", "stiction", "stribeck_speed", "motor_share", "load_share", "stiction_share")
@@ -47,14 +49,13 @@ _ABOUT = dict.fromkeys(VALLEYS, (_FAR, _NEAR)) | {"stribeck_speed": (_LONG,)}
 """Factors on what has many small valleys, or one that is long and curved, by name."""
 _QUANTILES = (5e-4, 5e-3, 2e-2)
 
-PROFILE_STAGE = "set point profile"
-STAGED = tuple(
-    effect
-    for effect in sorted(EFFECTS, key=lambda effect: effect.family != "world")
-    if effect.has_sizes or effect.name in ("plane_contact", "command_filter")
+FINITE_STAGE = "limits, stops and set points"
+FINITE = tuple(
+    e
+    for e in EFFECTS
+    if e.has_sizes or not e.parameters or {*e.parameters} & {"acceleration", "lag"}
 )
-"""Effects that are begun at a finite size beside all that has a slope, one after the other: what
-surrounds the arm first."""
+"""Effects that are begun at a finite size beside all that has a slope."""
 Rivals = dict[tuple[str, int | None], tuple[str, ...]]
 """By effect and joint, None of what all joints feel: what does as well in its place."""
 
@@ -87,18 +88,58 @@ def full(
         more = [name for name in SMOOTH if name not in begun.free]
         begun = begun.joined(usual, motions.every, more).fitted(motions, 5, plane=True)
         model = begun.joined(model, model.losses(motions) < begun.losses(motions))
-    say(PROFILE_STAGE)
-    model = _beyond_valleys(motions, _with_profile(motions, model))
-    for effect in STAGED:
-        say(effect.name.replace("_", " "))
-        if effect.has_sizes:
-            for name in effect.parameters:
-                model = _with_size(motions, model, name)
-        else:
-            model = (_with_filter if effect.parameters else _with_plane)(motions, model)
-    model = _beyond_valleys(motions, model)
+    say(FINITE_STAGE)
+    model = _beyond_valleys(motions, _with_finite(motions, model))
     say("all together")
     return model.fitted(motions, 4, plane=True)
+
+
+def _with_finite(motions: Motions, model: ServoModel) -> ServoModel:
+    """With the effect of a finite size that is best on each joint, worst joints first, and the next
+    one beside it, until none takes much away: a limit makes most of what another one does, and what
+    is left on others may be a bad joint's doing."""
+    waiting = motions.every
+    for _ in range(ROUNDS):
+        losses = model.losses(motions)
+        waiting &= losses > motions.slight
+        if not bool(waiting.any()):
+            break
+        tried = [_with_one(motions, model, effect) for effect in FINITE]
+        left = torch.stack([one.losses(motions) for one in tried])
+        alone = torch.minimum(losses, left.amin(0))
+        for row, one, effect in zip(left, tried, FINITE, strict=True):
+            if not effect.parameters:
+                # A plane that leaves no more than an effect of its own on each joint.
+                if one.plane and float(row.sum()) < ALIKE_LOSS * float(alone.sum()):
+                    model, losses = one, row.clone()
+                row.fill_(math.inf)
+            elif effect.shared and not bool((row <= alone)[waiting].all()):
+                row.fill_(math.inf)  # what all joints share is on all that have a gap, or on none
+        best, which = left.min(0)
+        excess = losses / motions.slight
+        worst = waiting & (excess >= WORST * excess[waiting].amax())
+        falls = waiting & _falls(motions, losses, best)
+        joints = falls & worst if bool((falls & worst).any()) else falls
+        waiting &= ~worst | falls
+        if not bool(joints.any()):
+            break
+        for k in which[joints].unique().tolist():
+            repeated = model.servos.repeated | tried[k].servos.repeated
+            model = model.joined(tried[k], joints & (which == k))
+            model = replace(model, servos=replace(model.servos, repeated=repeated))
+        model = model.fitted(motions, 3, plane=True)
+    return model
+
+
+def _with_one(motions: Motions, model: ServoModel, effect: ServoEffect) -> ServoModel:
+    """A model with one more effect of a finite size, on the joints whose loss falls."""
+    if not effect.parameters:
+        return model if model.plane else _with_plane(motions, model)
+    if effect.has_sizes:
+        for name in effect.parameters:
+            model = _with_size(motions, model, name)
+        return model
+    return (_with_profile if "acceleration" in effect.parameters else _with_filter)(motions, model)
 
 
 def _start(data: PositionData, names: Sequence[str]) -> Servos:
