@@ -81,14 +81,16 @@ def full(
         begun: servos of a file, where the search begins on joints that these follow nearer.
     """
     say("gains, friction and delay")
-    names = (*CORE, *SMOOTH)
-    usual = ServoModel(_start(motions.data, names), dict.fromkeys(names, motions.every))
-    model = _geared(motions.data, usual).fitted(motions, 5)
+    core = ServoModel(_start(motions.data, CORE), dict.fromkeys(CORE, motions.every))
+    model = _geared(motions.data, core).fitted(motions, 8)
     if begun is not None:
-        more = [name for name in SMOOTH if name not in begun.free]
-        begun = begun.joined(usual, motions.every, more).fitted(motions, 5, plane=True)
         model = begun.joined(model, model.losses(motions) < begun.losses(motions))
+    # What has a slope would make up for what has none: it comes after, and gives way then.
     say(FINITE_STAGE)
+    model = _with_finite(motions, model)
+    smooth = ServoModel(_start(motions.data, SMOOTH), dict.fromkeys(SMOOTH, motions.every))
+    more = [name for name in SMOOTH if not bool(model.where_free(name).any())]
+    model = model.joined(smooth, motions.every, more).fitted(motions, 5, plane=True)
     model = _beyond_valleys(motions, _with_finite(motions, model))
     say("all together")
     return model.fitted(motions, 4, plane=True)
@@ -136,8 +138,10 @@ def _with_one(motions: Motions, model: ServoModel, effect: ServoEffect) -> Servo
     if not effect.parameters:
         return model if model.plane else _with_plane(motions, model)
     if effect.has_sizes:
+        # Others may have to give way first; of two stops both at once would hold a joint.
+        only = len(effect.parameters) == 1
         for name in effect.parameters:
-            model = _with_size(motions, model, name)
+            model = _with_size(motions, model, name, sure=not only, iterations=3)
         return model
     return (_with_profile if "acceleration" in effect.parameters else _with_filter)(motions, model)
 
