@@ -91,17 +91,17 @@ def full(
     smooth = ServoModel(_start(motions.data, SMOOTH), dict.fromkeys(SMOOTH, motions.every))
     more = [name for name in SMOOTH if not bool(model.where_free(name).any())]
     model = model.joined(smooth, motions.every, more).fitted(motions, 5, plane=True)
-    model = _beyond_valleys(motions, _with_finite(motions, model))
+    model = _beyond_valleys(motions, _with_finite(motions, model, 1))
     say("all together")
     return model.fitted(motions, 4, plane=True)
 
 
-def _with_finite(motions: Motions, model: ServoModel) -> ServoModel:
+def _with_finite(motions: Motions, model: ServoModel, rounds: int = ROUNDS) -> ServoModel:
     """With the effect of a finite size that is best on each joint, worst joints first, and the next
     one beside it, until none takes much away: a limit makes most of what another one does, and what
     is left on others may be a bad joint's doing."""
     waiting = motions.every
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         losses = model.losses(motions)
         waiting &= losses > motions.slight
         if not bool(waiting.any()):
