@@ -32,6 +32,8 @@ LONGEST = 0.7
 """Longest step of a logarithm [1]."""
 NOISE = 0.003
 """Largest position error that a prior is weighed against [rad]: of two counts of a small servo."""
+LEAST_ROTOR = 1e-5
+"""Inertia of a rotor over the gain, at least: 5 per mille of a small servo's [s^2]."""
 FINEST = 1e-6
 """Least one [rad], of the finest encoders: a joint at rest may have no error at all."""
 HARDLY = 2e-3
@@ -99,6 +101,9 @@ def moved(servos: Servos, coordinates: Tensor) -> Servos:
     for k, p in enumerate(PARAMETERS):
         if p.name in TORQUES and p.name != "kp":
             joint[..., k] *= gain if p.kind == "log" else gain / SMALL
+    # No motor is without a rotor, however little a log tells of it.
+    k = INDEX["armature"]
+    joint[..., k] = torch.maximum(joint[..., k], LEAST_ROTOR * gain)
     return replace(servos, joint=joint, plane=servos.plane.expand(*joint.shape[:-2], 5).clone())
 
 
