@@ -122,9 +122,9 @@ def best_answer(
     if file is not None:
         numbers = _refitted(few, file.model, begun.free)
         begun = numbers.joined(begun, begun.losses(few) <= numbers.losses(few))
-    found, loaded, few_left = begun, None, begun.losses(few) <= few.slight
+    found, loaded, explained = begun, None, begun.losses(few) <= few.slight
     effects = "effects beside gains, friction and delay"
-    if not bool((few_left | problem.data.still).all()) and pace.has_time(effects, *SEVERAL):
+    if not bool((explained | problem.data.still).all()) and pace.has_time(effects, *SEVERAL):
         several = full(few, pace, None if file is None else begun)
         found = with_usual_effects(few, _no_worse(few, begun, several))
         loaded = with_load(few, found) if file is None else None

@@ -115,8 +115,12 @@ class PositionData:
     @cached_property
     def still(self) -> Bool[Tensor, " n"]:
         """(n,) joints that never move: at rest an encoder may flicker between two counts."""
-        count = self.resolution * 12**0.5
-        return self.q.amax(0) - self.q.amin(0) < (2.5 * count).clamp(min=STILL)
+        return self.q.amax(0) - self.q.amin(0) < (2.5 * self.count).clamp(min=STILL)
+
+    @property
+    def count(self) -> Float[Tensor, " n"]:
+        """(n,) of an encoder [rad]."""
+        return self.resolution * 12**0.5
 
     @cached_property
     def resolution(self) -> Float[Tensor, " n"]:

@@ -192,12 +192,10 @@ def _described(answered: Answered, known: Equations, problem: Problem) -> Positi
             for j, on in enumerate(known.mask & ~still[:, None])
         ),
         as_given=None if problem.file is None else problem.file.near & ~problem.doubted,
-        changes=changes_of(start, believed.servos.of("kp"), known, ratio_only, still)
-        if start is not None and believed is not None
-        else (),
-        file_doubt=doubt_of(start.servos, problem.gains, kp, ratio_only | still)
-        if start is not None and problem.gains is not None
-        else "",
+        changes=()
+        if start is None or believed is None
+        else changes_of(start, believed.servos.of("kp"), known, ratio_only, still),
+        file_doubt="" if start is None else doubt_of(start.servos, problem.gains, kp, unknown),
     )
 
 

@@ -311,7 +311,7 @@ class PositionDiagnosis(Diagnosis):
             never_moves=self.still,
             unseen_mrad=self.unseen,
             noise_mrad=self._measured_noise,
-            resolution_mrad=1e3 * 12**0.5 * data.resolution,
+            resolution_mrad=1e3 * data.count,
         )
         regimes = (
             by_joint(

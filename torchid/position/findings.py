@@ -134,12 +134,10 @@ class _Naming:
         std, names = math.nan, self.known.names
         if name in names:
             std = float(self.known.deviations(self.shares)[joint, names.index(name)])
-        gains = self.problem.gains
-        value_by_others = math.nan if gains is None else float(gains[joint])
         unsure = bool(self.shares[joint]) or std > UNSURE_SCALE
-        if name == "kp" and unsure and math.isfinite(value_by_others):
+        if name == "kp" and unsure and bool(self.problem.doubted[joint]):
             # The log leaves it open: what all else says, but for what would be doubted, too.
-            value = value_by_others
+            value = float(self.problem.gains[joint])
             return Number(title, unit, value, (value / APART, value * APART), was)
         if name == "delay":
             # Commands are simulated along straight lines; that they are held until the next one

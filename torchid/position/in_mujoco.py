@@ -34,9 +34,8 @@ RAN_AWAY = 50.0
 """Position beyond which a simulation has left the arm [rad]."""
 FORGOTTEN = 20.0
 """Time constants of a filter after which it no longer knows what was [1]."""
-AGREES, COUNT_STD = 0.05, 12**0.5
-"""Error up to which the kernel agrees with MuJoCo [mrad], if it is no more than a tenth of a count;
-and an encoder's count over what rounding to it leaves [1]."""
+AGREES = 0.05
+"""Error up to which the kernel agrees with MuJoCo [mrad], where a tenth of a count is no more."""
 _FIELDS = {
     "contact": ("mjDSBL_CONTACT", "geom_contype"),
     "joint range": ("mjDSBL_LIMIT", "jnt_limited"),
@@ -302,7 +301,7 @@ class Beside:
     def words(self) -> tuple[str, ...]:
         """Where our kernel goes elsewhere than MuJoCo with the file's own numbers, as one sentence;
         none where they agree."""
-        whole, least = windows_of(self.data.tracks, None), 0.1 * COUNT_STD * self.data.resolution
+        whole, least = windows_of(self.data.tracks, None), 0.1 * self.data.count
 
         def rms(one: Beside) -> Tensor:
             apart = one.apart(whole).square().sum((0, 1)) / whole.rows

@@ -13,7 +13,7 @@ import math
 import torch
 
 from torchid.effects.servo import INDEX, PARAMETERS
-from torchid.position.data import STILL, PositionData
+from torchid.position.data import NO_STEP, STILL, PositionData
 from torchid.position.judge import Equations
 from torchid.results.words import digits, joints_words
 from torchid.simulation.servo import Servos
@@ -47,13 +47,11 @@ def contradicted(data: PositionData, servos: Servos, plain: Equations) -> Float[
     for value in gain.unique().tolist():
         # One number on several joints is one type of servo, and one number.
         alike = ((gain == value) & ~data.still).nonzero().flatten().tolist()
-        others = [number for j in alike for number in said[j]]
-        where = torch.tensor([math.log(value), *(x for x, _, _ in others)])
-        own = (where - math.log(value)) / SHEET_STD
-        cost = own.square().log1p() + sum(
-            ((where - x if low else (where - x).clamp(min=0)) / std).square().log1p()
-            for x, std, low in others
-        )
+        own = math.log(value), SHEET_STD, True
+        every = [own, *(number for j in alike for number in said[j])]
+        where = torch.tensor([x for x, _, _ in every])
+        apart = ((where - x if low else (where - x).clamp(min=0), std) for x, std, low in every)
+        cost = torch.stack([(away / std).square().log1p() for away, std in apart]).sum(0)
         best = float(where[cost.argmin()])
         if abs(best - math.log(value)) > math.log(APART):
             out[alike] = math.exp(best)
@@ -123,7 +121,7 @@ def at_rest(data: PositionData) -> Bool[Tensor, "T n"]:
     rate = torch.zeros_like(data.q)
     rate[1:] = data.tracks.u.diff(dim=0).abs()
     rate[data.tracks.first] = 1.0
-    moves = ((rate > 1e-9) | (data.dq.abs() > STILL)).double().T
+    moves = ((rate > NO_STEP) | (data.dq.abs() > STILL)).double().T
     rows = max(1, round(REST_S / data.tracks.dt))
     before = torch.nn.functional.pad(moves, (rows, 0), value=1.0)
     return (torch.nn.functional.max_pool1d(before, rows + 1, 1) < 0.5).T

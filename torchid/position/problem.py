@@ -56,7 +56,7 @@ class Problem:
         types: of the joints' servos: those of one name are units of one type.
         sheets: what their makers say of them, values by parameter.
         gains: (n,) that all else that is known says where the file's contradicts it, else nan
-            [N m/rad]; None without a file.
+            [N m/rad].
     """
 
     data: PositionData
@@ -66,10 +66,10 @@ class Problem:
     start: ServoArm | None
     squares: float
     warnings: tuple[str, ...]
+    gains: Float[Tensor, " n"]
     trusted: bool = False
     types: Sequence[str] = ()
     sheets: Sequence[Mapping[str, float]] = ()
-    gains: Float[Tensor, " n"] | None = None
 
     @cached_property
     def noise(self) -> PositionNoise:
@@ -94,24 +94,20 @@ class Problem:
     @cached_property
     def doubted(self) -> Bool[Tensor, " n"]:
         """Joints whose gain, as the file has it, all else that is known contradicts."""
-        return ~self.few.every if self.gains is None else self.gains.isfinite()
+        return self.gains.isfinite()
 
     @cached_property
     def believed(self) -> ServoArm | None:
         """The arm that the robot's file describes, but for gains that are doubted."""
-        if self.start is None or self.gains is None:
-            return self.start
-        return believed(self.start, self.gains)
+        return None if self.start is None else believed(self.start, self.gains)
 
     @cached_property
     def given(self) -> Servos | None:
         """The servos of the robot's file as they are nearest, with its gains; None without any."""
         if self.file is None or self.start is None:
             return None
-        servos, k = self.file.model.servos, INDEX["kp"]
-        joint = servos.joint.clone()
-        joint[:, k] = torch.where(self.doubted, self.start.servos.of("kp"), joint[:, k])
-        return replace(servos, joint=joint)
+        gains = self.start.servos.of("kp").masked_fill(~self.doubted, torch.nan)
+        return with_gains(self.file.model.servos, gains)
 
     def followed(self, motions: Motions) -> Followed:
         """How motions, of this arm or one like it, follow the servos of the robot's file."""
@@ -136,11 +132,10 @@ def pose(
     some = some_of(windows, MOST_WINDOWS)
     held = plain(Motions(data, some))
     ways = Ways(some, start, _own_simulator(data, log, start, bool(alike)))
-    way, gains = ways.as_given(data, held), None
-    if start is not None:
+    way, gains = ways.as_given(data, held), torch.full_like(data.damping_share, torch.nan)
+    if start is not None and way is None:
         plainly = equations(data, held.servos, held.free, some)
         gains = contradicted(data, start.servos, plainly)
-        gains = gains if way is None else torch.full_like(gains, torch.nan)
         if bool(gains.isfinite().any()):
             # What the file's own simulator does with these numbers says nothing.
             ways = Ways(some, believed(start, gains), None)
@@ -150,14 +145,19 @@ def pose(
     squares = 1.0 - (1.0 - worthwhile) ** 2
     apart = () if data.beside is None else data.beside.words()
     warnings = (*alike, *missing_commands(log), *_cautions(data), *apart)
-    return Problem(data, few, more, simple, start, squares, warnings, gains=gains)
+    return Problem(data, few, more, simple, start, squares, warnings, gains)
 
 
 def believed(start: ServoArm, gains: Float[Tensor, " n"]) -> ServoArm:
     """The arm of a file with other gains, where they are no nan."""
-    joint, k = start.servos.joint.clone(), INDEX["kp"]
+    return replace(start, servos=with_gains(start.servos, gains))
+
+
+def with_gains(servos: Servos, gains: Float[Tensor, " n"]) -> Servos:
+    """Servos with other gains, where they are no nan."""
+    joint, k = servos.joint.clone(), INDEX["kp"]
     joint[:, k] = torch.where(gains.isfinite(), gains, joint[:, k])
-    return replace(start, servos=replace(start.servos, joint=joint))
+    return replace(servos, joint=joint)
 
 
 def _own_simulator(

@@ -1,9 +1,10 @@
-"""Which effects the motions need: begun from a plain servo, tried by simulation, weighed by leaving
-each out again.
+"""All effects that take error away from the motions, fitted together: which of them the motions
+need is weighed by leaving each out again (`answered.needed_effects`).
 
-What has a slope everywhere (friction, gains, delay) is fitted from the start. What acts only
-beyond a limit (a profile, a clip, a stop, a plane) has no slope where it does not act: some sizes
-of it are simulated on all joints at once, and a joint takes the best of them if its error falls.
+What acts only beyond a limit (a profile, a clip, a stop, a plane) has no slope where it does not
+act: beside a plain servo some sizes of it are simulated on all joints at once, and a joint takes
+the best effect if its error falls. What has a slope everywhere (friction by load, derivative gain)
+would make up for it, and comes after.
 """
 
 import itertools
@@ -141,7 +142,7 @@ def _with_one(motions: Motions, model: ServoModel, effect: ServoEffect) -> Servo
         # Others may have to give way first; of two stops both at once would hold a joint.
         only = len(effect.parameters) == 1
         for name in effect.parameters:
-            model = _with_size(motions, model, name, sure=not only, iterations=3)
+            model = _with_size(motions, model, name, sure=not only)
         return model
     return (_with_profile if "acceleration" in effect.parameters else _with_filter)(motions, model)
 
@@ -226,9 +227,7 @@ def _of_sets(model: ServoModel, sets: Servos, which: Tensor, joints: Tensor) -> 
     return model.at(torch.where(joints[:, None], values, model.servos.joint))
 
 
-def _with_size(
-    motions: Motions, model: ServoModel, name: str, *, sure: bool = True, iterations: int = 2
-) -> ServoModel:
+def _with_size(motions: Motions, model: ServoModel, name: str, *, sure: bool) -> ServoModel:
     """With a parameter on the joints whose loss falls with one of some values, refitted around
     them; or, if not `sure`, on all of them, for the others may have to give way first."""
     data, of = motions.data, PARAMETERS[INDEX[name]]
@@ -246,7 +245,7 @@ def _with_size(
     if not bool(joints.any()):
         return model
     grown = _of_sets(model, sets, 1 + best, joints).freed([name], joints)
-    return grown.fitted(motions, iterations, plane=True)
+    return grown.fitted(motions, 3, plane=True)
 
 
 def _with_profile(motions: Motions, model: ServoModel) -> ServoModel:
